@@ -15,8 +15,8 @@ from cyclopts import Parameter
 from geokit.cli._console import note
 from geokit.core.files import extension, require_file
 from geokit.errors import FileFormatError, InputError
-from geokit.formats.foreign import refuse_foreign
-from geokit.formats.table import FORMATS, SPARSE, STAGES, image_module, module_of, volume_kind
+from geokit.formats.foreign import refuse_foreign, require_format
+from geokit.formats.table import FORMATS, SPARSE, STAGES, Content, image_module, module_of, volume_kind
 
 if TYPE_CHECKING:
     from geokit.points._io import PointCloud, Rays
@@ -131,12 +131,15 @@ def _holds_volumes(path: Path) -> bool:
     return False
 
 
-def may_write(path: Path, *, force: bool) -> None:
-    """Check that a file may be written.
+def may_write(path: Path, content: Content | None = None, *, force: bool) -> None:
+    """Check that a file may be written, before the work for it.
 
     Raises:
-        InputError: The file exists and ``force`` is not given.
+        InputError: The extension is none in which ``content`` is written, or the file exists and ``force`` is not
+            given.
     """
+    if content is not None:
+        require_format(path, content, "w")
     if path.exists() and not force:
         raise InputError(f"{path}: exists already; add --force to replace it")
 

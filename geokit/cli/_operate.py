@@ -79,7 +79,7 @@ def _run(
         require_volume_file(source)
     if kind_of_output(target) != "volume":
         raise InputError(f"{target}: operations give volumes; use .vdb or .nvdb, and geokit convert for other formats")
-    may_write(target, force=common.force)
+    may_write(target, "volume", force=common.force)
     announce_compiling()
     with step(f"reading {', '.join(map(str, sources))}", quiet=common.json):
         volumes = [load_grid(source, common.grid, bounds=within) for source in sources]

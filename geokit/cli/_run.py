@@ -19,6 +19,7 @@ __all__ = ["run", "show_warning", "usage_message"]
 FAILURE, USAGE, INTERRUPTED = 1, 2, 130
 # The exit code that a shell reports for a command killed by SIGPIPE.
 BROKEN_PIPE = 141
+_HOME = re.compile(r"(?:^|(?<==))~(?=/|$)")
 _STEPS = re.compile(r"with step=(\d+) to step=(\d+)$")
 
 
@@ -38,7 +39,11 @@ def run(arguments: list[str]) -> int:
         sys.stdout.reconfigure(errors="surrogateescape")
     try:
         with at_end:
-            result = app(arguments, exit_on_error=False, print_error=False)
+            # As the shell does it for words that begin with it: not for --output=~/a.ply, nor in quotes.
+            home = os.path.expanduser("~")
+            result = app(
+                [_HOME.sub(lambda _: home, word) for word in arguments], exit_on_error=False, print_error=False
+            )
         if examples := examples_of(arguments):
             print("Examples:", *(f"  {line}" for line in examples), sep="\n")
         sys.stdout.flush()

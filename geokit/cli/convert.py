@@ -16,7 +16,7 @@ from geokit.cli._points import cloud_to_mesh, cloud_to_volume, mesh_to_cloud, sa
 from geokit.cli._storage import Storage
 from geokit.core.files import atomic_path, extension, size_of
 from geokit.errors import InputError
-from geokit.formats.table import FORMATS, SPARSE, STAGES
+from geokit.formats.table import FORMATS, SPARSE, STAGES, Content
 
 if TYPE_CHECKING:
     from geokit.mesh import TriangleMesh
@@ -198,7 +198,7 @@ def _converted(
 ) -> dict[str, Any]:
     kinds = _kinds(source, target, options)
     _refuse_unused(kinds, options, target)
-    may_write(target, force=force)
+    may_write(target, _CONTENTS.get(kinds[1]), force=force)
     given = {name.replace("-", "_"): value for name, value in options.items()}
     grid, tolerance = options["grid"], options["tolerance"]
     outside = {"background": options["background"], "tolerance": options["background-tolerance"]}
@@ -244,6 +244,8 @@ def _converted(
     return {"source": str(source), "target": str(target), **summary, "byte_count": size_of(target)}
 
 
+# What the kinds of targets are in the table of formats. An array goes to .npz alone.
+_CONTENTS: dict[str, Content] = {"mesh": "mesh", "volume": "volume", "cloud": "points"}
 UNIT_OPTIONS = ("unit", "up", "from-unit", "from-up")
 _USES = {
     ("mesh", "mesh"): ("tolerance", *UNIT_OPTIONS),

@@ -10,6 +10,7 @@ from cyclopts import App, Parameter
 from geokit.cli._console import announce_compiling, print_json, say, step
 from geokit.cli._kinds import may_write
 from geokit.errors import InputError
+from geokit.formats.foreign import require_format
 
 if TYPE_CHECKING:
     from geokit.mesh import TriangleMesh
@@ -28,7 +29,7 @@ def _deliver(made: TriangleMesh, target: Path, *, force: bool, json: bool) -> No
     """Write a mesh, and say what it is."""
     from geokit.mesh import save
 
-    may_write(target, force=force)
+    may_write(target, "mesh", force=force)
     with step(f"writing {target}", quiet=json):
         save(target, made)
     summary: dict[str, Any] = {"target": str(target), "vertices": made.vertex_count, "faces": made.face_count}
@@ -209,6 +210,7 @@ def split(
     from geokit.mesh import load, save
     from geokit.mesh import split as split_mesh
 
+    require_format(target, "mesh", "w")
     with step(f"splitting {source}", quiet=json) as splitting:
         pieces = split_mesh(load(source), by=by)
         splitting.result = f"{len(pieces)} pieces"
@@ -249,7 +251,7 @@ def keep_largest(
     """
     from geokit import mesh
 
-    may_write(target, force=force)
+    may_write(target, "mesh", force=force)
     with step(f"splitting {source}", quiet=json):
         found = mesh.keep_largest(mesh.load(source), count, share=share)
     _deliver(found, target, force=force, json=json)
@@ -284,7 +286,7 @@ def transform(
 
     from geokit import mesh
 
-    may_write(target, force=force)
+    may_write(target, "mesh", force=force)
     if matrix is None:
         table = np.eye(4)
         table[:3, :3] = scale * _rotation(rotate)
@@ -338,7 +340,7 @@ def transfer(
     """
     from geokit import mesh
 
-    may_write(target, force=force)
+    may_write(target, "mesh", force=force)
     announce_compiling()
     with step(f"taking attributes from {other}", quiet=json):
         found = mesh.transfer_attributes(mesh.load(source), mesh.load(other), names=name, device=device)

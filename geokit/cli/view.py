@@ -9,7 +9,7 @@ from cyclopts import CycloptsError, Parameter
 
 from geokit.cli._console import announce_compiling, note, say, step
 from geokit.cli._kinds import FiniteOnly, UpAxis, kind_of_input, load_cloud, load_grid, may_write, refuse_unused
-from geokit.core.files import extension
+from geokit.core.files import extension, require_extension
 from geokit.formats.table import FORMATS
 
 __all__ = ["view"]
@@ -51,6 +51,7 @@ def view(
     if not sources:
         raise CycloptsError(msg="FILE: none is given; name a mesh, a volume or a point cloud")
     if output is not None:
+        require_extension(output, (".html",), "page")
         may_write(output, force=force)
     kinds = [kind_of_input(source, grid) for source in sources]
     if "cloud" not in kinds:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import operator
 import os
+import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
@@ -43,6 +44,8 @@ __all__ = [
 
 # Most characters of a value in a message.
 LONGEST = 80
+# pathlib joins the two slashes of a URL to one.
+_URL = re.compile(r"(https?|ftp|s3|gs|file):/+", re.IGNORECASE)
 # No count of anything is larger.
 LARGEST_COUNT = 2**63 - 1
 
@@ -167,10 +170,10 @@ def require_one_world(**things: Any) -> dict[str, Any]:
 
 
 def require_path(value: Any, name: str = "path") -> Path:
-    """Return a path, given as a str, bytes or ``os.PathLike``.
+    """Return a path, given as a str, bytes or ``os.PathLike``; a ``~`` at its begin is the user's home.
 
     Raises:
-        InputError: ``value`` is none of these, or has a zero byte or half a surrogate pair.
+        InputError: ``value`` is none of these, a URL, or has a zero byte or half a surrogate pair.
     """
     try:
         text = os.fsdecode(value)
@@ -181,7 +184,10 @@ def require_path(value: Any, name: str = "path") -> Path:
         raise InputError(f"{name}: {described(value)} is not a path; give a str or a pathlib.Path") from error
     if "\0" in text:
         raise InputError(f"{name}: {described(value)} has a zero byte; give the path of a file")
-    return Path(text)
+    if _URL.match(text):
+        whole = _URL.sub(r"\1://", text)
+        raise InputError(f"{whole}: is a URL; download it, and give the name of the file")
+    return Path(os.path.expanduser(text) if text == "~" or text.startswith("~/") else text)
 
 
 def require_callable(value: Any, name: str) -> Any:

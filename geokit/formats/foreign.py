@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 from typing import Literal, NamedTuple
 
-from geokit.core.files import extension, require_extension
+from geokit.core.files import extension, is_there, require_extension
 from geokit.core.require import require_path
-from geokit.errors import InputError
-from geokit.formats.table import Content, extensions
+from geokit.errors import FileAccessError, InputError
+from geokit.formats.table import FORMATS, Content, extensions
 
 __all__ = ["FOREIGN", "Foreign", "refuse_foreign", "require_format"]
 
@@ -29,6 +29,8 @@ def _rows(kinds: str, name: str, remedy: str) -> dict[str, Foreign]:
     return dict.fromkeys(kinds.split(), Foreign(name, remedy))
 
 
+# The modules of the API, and what they read and write.
+_DOORS: dict[str, Content] = {"mesh": "mesh", "volume": "volume", "points": "points"}
 _ASSIMP = "convert it with: assimp export FILE FILE.glb"
 
 # By extension.
@@ -109,9 +111,23 @@ def require_format(
         access: What is done with it.
         what: What the content is called in errors; None is ``content``.
     Raises:
-        InputError: It cannot; the message has the remedy for it, or lists the extensions.
+        InputError: It cannot; the message has the remedy for it, names the functions that can, or lists the extensions.
+        FileAccessError: It is a folder.
     """
-    known = extensions(content, access)
-    if access == "r" and extension(path) not in known:
+    known, path = extensions(content, access), require_path(path)
+    kind = extension(path)
+    if kind in known:
+        return kind
+    if access == "r":
         refuse_foreign(path)
+    verb, does = ("load", "reads") if access == "r" else ("save", "writes")
+    doors = [door for door in _DOORS if _DOORS[door] != content and kind in extensions(_DOORS[door], access)]
+    if doors:
+        others = " or ".join(f"geokit.{door}.{verb}" for door in doors)
+        raise InputError(f"{path}: '{kind}' is not a {what or content} format; use {others}, which {does} it")
+    if is_there(path) and path.is_dir():
+        folders = ", or read slices of DICOM with geokit.volume.load" if access == "r" else ""
+        raise FileAccessError(f"{path}: is a directory; name a file in it{folders}")
+    if kind in FORMATS:
+        raise InputError(f"{path}: '{kind}' is only read; use one of {', '.join(sorted(known))}")
     return require_extension(path, known, what or content)

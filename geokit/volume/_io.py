@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core.content_limit import content_limit
-from geokit.core.files import extension, refuse_empty, require_extension, require_file, size_of
+from geokit.core.files import extension, refuse_empty, require_file, size_of
 from geokit.core.memory.needs import file_size, needs
 from geokit.core.require import require_choice, require_flag, require_path, require_text
 from geokit.core.user_arrays import require_finite_scalar
@@ -309,7 +309,8 @@ def save(path: str | os.PathLike[str], *volumes: SparseVolume, codec: str | None
     Example:
         >>> save("out.nvdb", load("data/samples/torus.vdb"), codec="zip")
     """
-    kind = require_extension(path, extensions("volume", "w"), "volume")
+    kind = require_format(path, "volume", "w")
+    path = require_path(path)
     require_flag(half, "half")
     if codec is not None:
         require_choice(codec, "codec", CODECS)

@@ -145,6 +145,42 @@ def test_exit_codes(run: Callable[..., Done], line: str, code: int, said: str) -
     assert len(done.err.splitlines()) == 1
 
 
+@pytest.mark.parametrize(
+    "line",
+    [
+        "convert a.nvdb b.fbx",
+        "convert a.nvdb b.dcm",
+        "convert a.ply b.step",
+        "convert a.ply b.e57 --count 9",
+        "render a.ply -o b.exr",
+        "render a.nvdb -o b.jpg --slice x",
+        "view a.ply -o b.pdf",
+        "mesh transform a.ply b.fbx",
+        "mesh split a.ply b.dae",
+        "volume prune a.nvdb b.dcm",
+    ],
+)
+def test_targets_are_checked_before_the_work(
+    run: Callable[..., Done], tmp_path: Path, monkeypatch: Any, line: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("a.nvdb", "a.ply"):
+        # Reading them would end in another error.
+        Path(name).write_text("ply\nformat ascii 1.0\nelement vertex 0\nelement face 9\n")
+    done = run(*line.split())
+    assert done.code == 1
+    assert "; use one of ." in done.err
+
+
+def test_names_below_the_home(run: Callable[..., Done], tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    gk.mesh.save(tmp_path / "a.ply", gk.mesh.box())
+    assert run("convert", "~/a.ply", "~/b.ply").code == 0
+    assert run("convert", "~/b.ply", "--out-dir=~/made", "--to", "stl").code == 0
+    assert (tmp_path / "made" / "b.stl").exists()
+    assert "https://example.com/a.ply: is a URL" in run("info", "https://example.com/a.ply").err
+
+
 def test_a_size_that_is_none(run: Callable[..., Done], tmp_path: Path) -> None:
     done = run("render", ROOT / "data/samples/bracket.obj", "-o", tmp_path / "a.png", "--size", "10")
     assert (done.code, "800x600" in done.err) == (2, True)

@@ -41,3 +41,43 @@ def test_other_extensions_and_written_files_list_what_there_is(tmp_path):
     box = gk.mesh.box()
     with pytest.raises(gk.InputError, match=r"'\.blend' is not a mesh format; use one of"):
         gk.mesh.save(tmp_path / "a.blend", box)
+
+
+DOORS = {"mesh": gk.mesh, "volume": gk.volume, "points": gk.points}
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+def test_a_wrong_door_names_the_right_ones(kind, tmp_path):
+    path = tmp_path / f"a{kind}"
+    path.write_bytes(b"x")
+    for verb, access in (("load", "r"), ("save", "w")):
+        right = {door for door in DOORS if kind in extensions(door, access)}
+        for door in DOORS.keys() - right:
+            things = () if verb == "load" else (gk.mesh.box() if door == "mesh" else [[0.0, 0.0, 0.0]],)
+            with pytest.raises(gk.InputError) as raised:
+                getattr(DOORS[door], verb)(path, *things)
+            said = str(raised.value)
+            assert set(re.findall(rf"geokit\.(\w+)\.{verb}", said)) == right, said
+            assert right or "; use one of ." in said
+            assert path.read_bytes() == b"x"
+
+
+def test_a_folder_a_url_and_a_home(tmp_path, monkeypatch):
+    for load in (gk.mesh.load, gk.points.load):
+        with pytest.raises(gk.GeokitError, match=r"is a directory; name a file in it, .* geokit\.volume\.load"):
+            load(tmp_path)
+        with pytest.raises(gk.InputError, match=r"https://example\.com/a\.ply: is a URL; download it"):
+            load("https://example.com/a.ply")
+    with pytest.raises(gk.InputError, match="is a URL; download it"):
+        gk.volume.load("s3://bucket/a.vdb")
+    with pytest.raises(gk.GeokitError, match="is a directory; name a file in it"):
+        gk.mesh.save(tmp_path, gk.mesh.box())
+    grid = gk.volume.from_dense([[[1.0]]])
+    monkeypatch.setenv("HOME", str(tmp_path))
+    gk.mesh.save("~/a.ply", gk.mesh.box())
+    gk.points.save("~/a.csv", [[0.0, 0.0, 0.0]])
+    for name in ("a.nvdb", "a.npy"):
+        gk.volume.save(f"~/{name}", grid)
+        assert len(gk.volume.inspect(f"~/{name}")) == 1
+    assert (len(gk.mesh.load("~/a.ply").faces), len(gk.points.load("~/a.csv"))) == (12, 1)
+    assert {one.name for one in tmp_path.iterdir()} >= {"a.ply", "a.csv", "a.nvdb", "a.npy"}

@@ -186,7 +186,7 @@ def rows(values: Any) -> int:
 
 def file_size(path: Any) -> int:
     """Size of a file [bytes]."""
-    return os.stat(path).st_size
+    return os.stat(os.path.expanduser(path)).st_size
 
 
 def require_free(need: int, what: str, *, always: bool = False, have: int | None = None) -> None:

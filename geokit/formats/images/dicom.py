@@ -82,7 +82,7 @@ def open_images(path: Path, limit: int) -> list[Image]:
             names.setdefault(key, in_one_line(str(header.get("SeriesDescription", "") or ""), 100))
             series[key] += _slices(header, file, path)
     if not series:
-        raise FileFormatError(f"{path}: holds no DICOM images; name a folder of slices, or a .dcm file")
+        raise FileFormatError(f"{path}: holds no DICOM images; name a file, or a folder of slices")
     found = []
     for key, slices in series.items():
         with reading(path):
