@@ -80,6 +80,7 @@ geokit volume renormalize in.vdb wide.vdb --half-width 5
 geokit volume smooth in.vdb smooth.vdb --method mean_curvature --iterations 4
 geokit volume resample in.vdb coarse.vdb --voxel-size 0.02
 geokit volume resample in.vdb aligned.vdb --like other.nvdb
+geokit volume resample smoke.vdb half.vdb --voxel-size 0.1 --grid all
 geokit volume prune smoke.vdb pruned.vdb --grid density --tolerance 0.01
 geokit volume clip smoke.vdb part.vdb --grid density --lower -1 -1 -1 --upper 1 1 0
 geokit volume gradient in.vdb gradient.vdb

@@ -26,6 +26,7 @@ __all__ = [
     "FiniteOnly",
     "Kind",
     "UpAxis",
+    "grid_names",
     "kind_of_input",
     "kind_of_output",
     "load_cloud",
@@ -203,6 +204,17 @@ def _options_named() -> Iterator[None]:
         raise type(error)(re.sub("^columns:", "--columns:", told)) from error
 
 
+def grid_names(path: Path, name: str | None) -> list[str] | None:
+    """Names of all grids of a file if ``name`` is "all" and none of them is called so; None if it means one grid."""
+    if name != "all":
+        return None
+    from geokit.volume import inspect
+    from geokit.volume._io import unique_names
+
+    names = unique_names([one.name for one in inspect(path)])
+    return None if name in names else names
+
+
 def load_grid(
     path: Path,
     name: str | None,
@@ -211,6 +223,7 @@ def load_grid(
     tolerance: float | None = None,
     as_floats: bool = False,
     bounds: Any = None,
+    remedy: str = "--grid chooses another",
 ) -> "SparseVolume":
     """Load the grid called ``name``, or the only grid of the file.
 
@@ -221,6 +234,7 @@ def load_grid(
         tolerance: Around it.
         as_floats: Of a dense volume, whether to read whole numbers as floats, which have isosurfaces.
         bounds: Box [world] of the part to load.
+        remedy: What the notice of grids that are left out ends with.
 
     Raises:
         InputError: No grid has that name, or no name was given and there are several grids.
@@ -234,8 +248,9 @@ def load_grid(
             whole = {kind.name for kind in TYPES if kind.family in ("integer", "bool", "mask")}
             dense["grid_type"] = "float" if {one.grid_type for one in inspect(path)} <= whole else None
         volume = load(path, grid=name, bounds=bounds, **dense)
-        if name is None and volume.info.name == "density" and len(inspect(path)) > 1:
-            note(f"{path}: has several grids, and 'density' is taken; --grid chooses another")
+        if name is None and volume.info.name == "density" and len(found := inspect(path)) > 1:
+            left_out = ", ".join(repr(one.name) for one in found if one.name != "density")
+            note(f"{path}: has several grids, and 'density' is taken, without {left_out}; {remedy}")
         return volume
     except InputError as error:
         # The library's message names its parameter; the user knows the option.

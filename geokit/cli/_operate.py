@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,13 +11,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import CycloptsError, Parameter
 
 from geokit.cli._console import announce_compiling, print_json, say, step
-from geokit.cli._kinds import kind_of_input, kind_of_output, load_grid, may_write
-from geokit.errors import InputError
+from geokit.cli._kinds import grid_names, kind_of_input, kind_of_output, load_grid, may_write
+from geokit.errors import GeokitError, InputError
 
 if TYPE_CHECKING:
     from geokit.volume._model import SparseVolume
 
-__all__ = ["DEFAULTS", "Common", "Flag", "apply", "combine", "operation", "require_volume_file"]
+__all__ = ["DEFAULTS", "REMEDY", "Common", "Flag", "apply", "combine", "operation", "require_volume_file"]
 
 Flag = Annotated[bool, Parameter(negative="")]
 
@@ -27,7 +28,7 @@ class Common:
     """Options of all operations that write a volume."""
 
     grid: str | None = None
-    """Name of the grid, if a file holds several."""
+    """Name of the grid, if a file holds several; all for each of them."""
     codec: str | None = None
     """Compression: none, zip or blosc; by default blosc for .vdb and none for .nvdb."""
     force: Flag = False
@@ -37,6 +38,7 @@ class Common:
 
 
 DEFAULTS = Common()
+REMEDY = "--grid chooses another, --grid all takes all"
 
 
 def operation(name: str) -> Callable[..., Any]:
@@ -82,24 +84,48 @@ def _run(
     may_write(target, "volume", force=common.force)
     announce_compiling()
     with step(f"reading {', '.join(map(str, sources))}", quiet=common.json):
-        volumes = [load_grid(source, common.grid, bounds=within) for source in sources]
+        names = grid_names(sources[0], common.grid)
+        if names is not None and len(sources) > 1:
+            raise InputError(f"--grid: all goes with operations on one file, and {name} takes several; name a grid")
+        # Grids of one file are made one by one, since the operation takes one.
+        sets = [
+            [load_grid(source, grid, bounds=within, remedy=REMEDY) for source in sources]
+            for grid in ([common.grid] if names is None else names)
+        ]
+    made = []
     with step(name, quiet=common.json):
-        result = operation(name)(*volumes, *arguments, **options)
-    # Of several outputs the volume comes first.
-    made = result if isinstance(result, list) else [result[0] if isinstance(result, tuple) else result]
+        for volumes in sets:
+            with _named(sources[0], volumes[0].info.name, names):
+                result = operation(name)(*volumes, *arguments, **options)
+            # Of several outputs the volume comes first.
+            found = result if isinstance(result, list) else [result[0] if isinstance(result, tuple) else result]
+            if not found and names is None:
+                raise InputError(
+                    f"{sources[0]}: grid {volumes[0].info.name!r} has no active voxels, so there is nothing to write"
+                )
+            made += found
     if not made:
-        raise InputError(
-            f"{sources[0]}: grid {volumes[0].info.name!r} has no active voxels, so there is nothing to write"
-        )
+        raise InputError(f"{sources[0]}: its grids have no active voxels, so there is nothing to write")
     with step(f"writing {target}", quiet=common.json):
         save(target, *made, codec=common.codec)
     _report(name, sources, target, made, common)
 
 
+@contextlib.contextmanager
+def _named(source: Path, grid: str, names: list[str] | None) -> Iterator[None]:
+    """Where all grids are meant, let errors say which one they are about."""
+    try:
+        yield
+    except GeokitError as error:
+        if names is None:
+            raise
+        raise type(error)(f"{source}: grid {grid!r}: {error} (--grid takes one that fits)") from error
+
+
 def _report(name: str, sources: tuple[Path, ...], target: Path, made: list[SparseVolume], common: Common) -> None:
     summary = {
         "grids": len(made),
-        "grid_type": made[0].info.grid_type,
+        "grid_type": " + ".join(dict.fromkeys(volume.info.grid_type for volume in made)),
         "voxel_size": made[0].info.voxel_size.tolist(),
         "active_voxels": [volume.info.active_voxel_count for volume in made],
         "byte_count": target.stat().st_size,

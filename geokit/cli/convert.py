@@ -11,7 +11,16 @@ from cyclopts import CycloptsError, Parameter
 
 from geokit.cli._batch import run_batch, targets_in
 from geokit.cli._console import announce_compiling, note, print_json, say, step
-from geokit.cli._kinds import FiniteOnly, Kind, kind_of_input, kind_of_output, load_cloud, may_write, refuse_unused
+from geokit.cli._kinds import (
+    FiniteOnly,
+    Kind,
+    grid_names,
+    kind_of_input,
+    kind_of_output,
+    load_cloud,
+    may_write,
+    refuse_unused,
+)
 from geokit.cli._points import cloud_to_mesh, cloud_to_volume, mesh_to_cloud, save_cloud
 from geokit.cli._storage import Storage
 from geokit.core.files import atomic_path, extension, size_of
@@ -477,7 +486,8 @@ def _volume_to_volume(
     given = _given(outside)
 
     with step(f"converting {source}", quiet=quiet):
-        volumes = [load(source, grid=grid, **given)] if grid is not None else list(load_all(source, **given).values())
+        every = grid is None or grid_names(source, grid) is not None
+        volumes = list(load_all(source, **given).values()) if every else [load(source, grid=grid, **given)]
         volumes = [storage.applied(volume) for volume in volumes]
         save(target, *volumes, codec=storage.compression)
     return {

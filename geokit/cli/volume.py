@@ -8,8 +8,8 @@ from typing import Annotated
 from cyclopts import App, Parameter
 
 from geokit.cli._console import print_facts, print_json
-from geokit.cli._kinds import load_grid
-from geokit.cli._operate import DEFAULTS, Common, Flag, apply, combine, operation, require_volume_file
+from geokit.cli._kinds import grid_names, load_grid
+from geokit.cli._operate import DEFAULTS, REMEDY, Common, Flag, apply, combine, operation, require_volume_file
 
 __all__ = ["app"]
 
@@ -338,14 +338,19 @@ def statistics(source: Source, /, *, grid: str | None = None, json: Flag = False
 
     Args:
         source: A .vdb or .nvdb file.
-        grid: Name of the grid, if the file holds several.
+        grid: Name of the grid, if the file holds several; all for each of them, as a list in JSON.
         json: Print JSON.
     """
     require_volume_file(source)
-    volume = load_grid(source, grid)
-    found = operation("statistics")(volume)
-    report = {"file": str(source), "grid": volume.info.name, **found._asdict()}
+    names, reports = grid_names(source, grid), []
+    for name in [grid] if names is None else names:
+        volume = load_grid(source, name, remedy=REMEDY)
+        found = operation("statistics")(volume)
+        reports.append({"file": str(source), "grid": volume.info.name, **found._asdict()})
     if json:
-        print_json(report)
-    else:
+        print_json(reports[0] if names is None else reports)
+        return
+    for number, report in enumerate(reports):
+        if number:
+            print()
         print_facts({name: value for name, value in report.items() if value is not None})

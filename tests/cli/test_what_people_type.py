@@ -200,11 +200,39 @@ def test_smoke_with_several_grids(run: Callable[..., Done], tmp_path: Path) -> N
     assert gk.volume.load(path).info.name == "density"
     done = run("volume", "statistics", path, "--json")
     assert (json.loads(done.out)["mean"], done.code) == (2.0, 0)
-    assert "has several grids, and 'density' is taken; --grid chooses another" in done.err
+    said = "has several grids, and 'density' is taken, without 'heat'; --grid chooses another, --grid all takes all"
+    assert said in done.err
     gk.volume.save(path, grids[0], gk.volume.from_dense(np.ones((2, 2, 2)), name="soot"))
     done = run("volume", "statistics", path)
     assert (done.code, "choose one with --grid" in done.err) == (1, True)
     assert run("volume", "statistics", path, "--grid", "soot").code == 0
+
+
+def test_all_grids_of_a_file(run: Callable[..., Done], tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.chdir(tmp_path)
+    grids = [gk.volume.from_dense(np.full((4, 4, 4), at + 1.0), name=n) for at, n in enumerate(("heat", "density"))]
+    wind = gk.volume.from_dense(np.ones((4, 4, 4, 3), np.float32), name="wind")
+    gk.volume.save("smoke.nvdb", *grids, wind)
+    box = ("--lower", "0", "0", "0", "--upper", "1", "1", "1")
+    for words in (["prune"], ["resample", "--voxel-size", "2", "--device", "cpu"], ["clip", *box]):
+        done = run("volume", words[0], "smoke.nvdb", "out.nvdb", *words[1:], "--grid", "all", "--json", "--force")
+        assert (done.code, done.err) == (0, "")
+        assert json.loads(done.out)["grids"] == 3
+        found = gk.volume.load_all("out.nvdb")
+        assert list(found) == ["heat", "density", "wind"]
+        assert gk.volume.statistics(found["heat"]).maximum == 1.0
+    done = run("volume", "statistics", "smoke.nvdb", "--grid", "all", "--json")
+    assert [one["grid"] for one in json.loads(done.out)] == ["heat", "density", "wind"]
+    assert run("volume", "statistics", "smoke.nvdb", "--grid", "all").out.count("smoke.nvdb") == 3
+    done = run("volume", "gradient", "smoke.nvdb", "g.nvdb", "--grid", "all", "--device", "cpu")
+    assert (done.code, "smoke.nvdb: grid 'wind': " in done.err) == (1, True)
+    done = run("volume", "union", "smoke.nvdb", "smoke.nvdb", "u.nvdb", "--grid", "all")
+    assert (done.code, "--grid: all goes with operations on one file" in done.err) == (1, True)
+    assert run("convert", "smoke.nvdb", "copy.nvdb", "--grid", "all").code == 0
+    assert len(gk.volume.inspect("copy.nvdb")) == 3
+    # A grid of that name is that grid.
+    gk.volume.save("named.nvdb", grids[0], gk.volume.from_dense(np.ones((2, 2, 2)), name="all"))
+    assert json.loads(run("volume", "statistics", "named.nvdb", "--grid", "all", "--json").out)["grid"] == "all"
 
 
 def test_the_package_says_where_files_are_loaded() -> None:
