@@ -61,6 +61,9 @@ def info(
         for name, what in (("active_voxel_count", "not asked (no voxel is read)"), ("background", "not stated")):
             if grid[name] is None:
                 grid[name] = what
+        if isinstance(grid["transform"], str):
+            grid["transform"] = "frustum (voxels widen away from a camera); geokit does not read it, resample it first"
+            grid["voxel_size"] = grid["world_bounds"] = "not the same everywhere"
         print_facts(grid)
         if metadata:
             print("metadata")
@@ -112,16 +115,20 @@ def _describe_volume(path: Path) -> dict[str, Any]:
 
 
 def _describe_grid(grid: Any) -> dict[str, Any]:
+    import numpy as np
+
+    # geokit.volume.inspect gives NaN for it.
+    frustum = bool(np.isnan(grid.transform).all())
     return {
         "grid": grid.name,
         "type": grid.grid_type,
         "class": grid.grid_class,
-        "voxel_size": grid.voxel_size,
+        "voxel_size": None if frustum else grid.voxel_size,
         "background": grid.background,
         "active_voxel_count": grid.active_voxel_count,
         "index_bounds": grid.index_bounds,
-        "world_bounds": grid.world_bounds,
-        "transform": grid.transform,
+        "world_bounds": None if frustum else grid.world_bounds,
+        "transform": "frustum" if frustum else grid.transform,
         "byte_count": grid.byte_count,
         "metadata": grid.metadata,
     }

@@ -21,6 +21,9 @@ __all__ = ["app"]
 
 app = App(name="query", help="Find closest points, signed distances, ray hits, samples or neighbors.")
 
+# What a summary says of the distribution; half of the values are below the 50th.
+PERCENTILES = (5, 50, 95)
+
 Flag = Annotated[bool, Parameter(negative="")]
 Output = Annotated[Path | None, Parameter(name=["--output", "-o"], allow_leading_hyphen=True)]
 
@@ -334,4 +337,7 @@ def _spread(name: str, values: np.ndarray) -> dict[str, float]:
         f"{name}_min": float(finite.min()),
         f"{name}_mean": float(finite.mean()),
         f"{name}_max": float(finite.max()),
+        f"{name}_std": float(finite.std()),
+        f"{name}_rms": float(np.sqrt(np.mean(np.square(finite, dtype=np.float64)))),
+        **{f"{name}_p{percent}": float(np.percentile(finite, percent)) for percent in PERCENTILES},
     }

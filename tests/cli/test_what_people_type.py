@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import glob
 import json
 import re
@@ -179,6 +180,32 @@ def test_names_below_the_home(run: Callable[..., Done], tmp_path: Path, monkeypa
     assert run("convert", "~/b.ply", "--out-dir=~/made", "--to", "stl").code == 0
     assert (tmp_path / "made" / "b.stl").exists()
     assert "https://example.com/a.ply: is a URL" in run("info", "https://example.com/a.ply").err
+
+
+def test_a_frustum_is_called_so(run: Callable[..., Done], tmp_path: Path, monkeypatch: Any) -> None:
+    path = tmp_path / "camera.nvdb"
+    gk.volume.save(path, gk.volume.from_dense(np.ones((2, 2, 2)), name="camera"))
+    # What inspect gives for one: few programs write such files.
+    (found,) = gk.volume.inspect(path)
+    nothing = np.full((4, 4), np.nan)
+    frustum = dataclasses.replace(found, transform=nothing, voxel_size=nothing[0, :3])
+    monkeypatch.setattr("geokit.volume.inspect", lambda _: [frustum])
+    done = run("info", path)
+    assert (done.code, "nan" in done.out) == (0, False)
+    assert "frustum (voxels widen away from a camera)" in done.out
+    (said,) = json.loads(run("info", path, "--json").out)["grids"]
+    assert (said["transform"], said["voxel_size"], said["world_bounds"]) == ("frustum", None, None)
+
+
+def test_summaries_of_queries_have_a_spread(run: Callable[..., Done], tmp_path: Path) -> None:
+    gk.mesh.save(tmp_path / "plane.ply", gk.mesh.plane((8.0, 8.0)))
+    heights = np.linspace(0.0, 1.0, 101)
+    gk.points.save(tmp_path / "p.csv", np.column_stack([np.zeros((101, 2)), heights]))
+    files = (tmp_path / "plane.ply", tmp_path / "p.csv")
+    said = json.loads(run("query", "closest", *files, "--device", "cpu", "--json").out)
+    wanted = {"min": 0.0, "mean": 0.5, "max": 1.0, "std": heights.std(), "p5": 0.05, "p50": 0.5, "p95": 0.95}
+    wanted["rms"] = float(np.sqrt(np.mean(heights**2)))
+    assert {name: said[f"distance_{name}"] for name in wanted} == pytest.approx(wanted, abs=1e-6)
 
 
 def test_a_size_that_is_none(run: Callable[..., Done], tmp_path: Path) -> None:
