@@ -10,7 +10,7 @@ from geokit.core.blocks.chunked_queries import Progress
 from geokit.core.gradients.differentiable import of_constants
 from geokit.core.interop.objects import MeshLike
 from geokit.core.memory.needs import needs
-from geokit.core.require import require_callable, require_choice, require_text
+from geokit.core.require import require_callable, require_choice, require_flag, require_text
 from geokit.errors import InputError
 from geokit.mesh._sample_surface import total_area
 from geokit.volume._model import SparseVolume
@@ -26,8 +26,9 @@ from geokit.volume.band.fields import (
     source_of,
     volume_from_built,
 )
-from geokit.volume.band.tiles import Lattice
+from geokit.volume.band.tiles import TILE_VOXELS, Lattice
 from geokit.volume.nanovdb.header import info_of
+from geokit.volume.tolerance.band_memory import band_start
 from geokit.volume.tree.grid_head import checked_head
 
 if TYPE_CHECKING:
@@ -107,6 +108,7 @@ def from_mesh(
     interior: str = "remove",
     method: str = "geokit",
     codec: str | None = None,
+    compact: bool = False,
     name: str | None = None,
     device: Any = None,
     progress: Progress | None = None,
@@ -145,7 +147,8 @@ def from_mesh(
     of two sides have no inside: a UserWarning says so, and ``thickness`` makes solids of them.
 
     Voxel centers lie at whole multiples of ``voxel_size``. The transform has a translation (of whole voxels) only where
-    indices would otherwise exceed 2^20, and with ``tolerance``, where index 0 is the beginning of the band.
+    indices would otherwise exceed 2^20, with ``compact``, and with ``tolerance``: then index 0 is the beginning of the
+    band. So a small body has one upper node, 270 kB; around the origin of indices it has eight.
 
     ``tolerance`` replaces ``voxel_size``: the voxel size, and each of half width, order and codec that is not given,
     are those of least memory with which ``sample`` is within the tolerance of the exact distance wherever it is
@@ -189,6 +192,8 @@ def from_mesh(
             off.
         codec: Storage of the values, as in :func:`geokit.volume.quantize`; None for float32, with ``tolerance`` for the
             best.
+        compact: Whether index 0 is the beginning of the band, for as few nodes as possible. Otherwise fields of one
+            voxel size have one transform, and unions of them need no resampling.
         name: Name of the grid; None for the mesh's name.
         device: Where to compute: "cpu", "cuda:0", a warp device, or None for the first GPU, else the CPU. On a GPU the
             grid stays there until ``nanovdb`` is read.
@@ -219,6 +224,7 @@ def from_mesh(
         tests/volume/tolerance/test_from_mesh_property.py, tests/accuracy/stability/test_envelopes.py
     """
     require_choice(method, "method", METHODS)
+    require_flag(compact, "compact")
     if name is not None:
         require_text(name, "name")
     if progress is not None:
@@ -243,7 +249,9 @@ def from_mesh(
         from geokit.volume._quantize import CODECS
 
         require_choice(codec, "codec", CODECS)
-    surface, shape, lattice = _prepared(mesh, voxel_size, half_width, sign, thickness, interior, device)
+    if compact and method == "openvdb":
+        raise InputError("compact: only of use with method='geokit'; leave it out")
+    surface, shape, lattice = _prepared(mesh, voxel_size, half_width, sign, thickness, interior, device, compact)
     head = grid_head(shape, lattice, surface.mesh.name if name is None else name)
     if method == "openvdb":
         volume = _by_openvdb(surface, lattice, shape, surface.mesh.name if name is None else name)
@@ -302,13 +310,21 @@ def from_mesh_with_triangles(
 
 
 def _prepared(
-    mesh: Any, voxel_size: float, half_width: Any, sign: str, thickness: float | None, interior: str, device: Any
+    mesh: Any,
+    voxel_size: float,
+    half_width: Any,
+    sign: str,
+    thickness: float | None,
+    interior: str,
+    device: Any,
+    compact: bool = False,
 ) -> tuple[Surface, BandShape, Lattice]:
     voxel_size = user_arrays.require_finite_scalar(voxel_size, "voxel_size", low=0.0)
     outside, inside = half_widths(half_width)
     surface, method, offset = resolve_surface(mesh, sign, thickness, interior, device, voxel_size)
     shape = BandShape(in_float32(outside * voxel_size), in_float32(inside * voxel_size), offset, method)
-    return surface, shape, Lattice(surface, voxel_size, shape.reach, shape.hollow)
+    start = band_start(surface, shape.reach, TILE_VOXELS * voxel_size) if compact else None
+    return surface, shape, Lattice(surface, voxel_size, shape.reach, shape.hollow, translation=start)
 
 
 def _by_openvdb(surface: Surface, lattice: Lattice, shape: BandShape, name: str) -> SparseVolume:

@@ -45,6 +45,7 @@ class PlannedField(NamedTuple):
         seconds: Predicted time to build it [s], without the search.
         method: The function that makes it, "from_mesh" or "adaptive_from_mesh".
         level_count: Number of voxel sizes.
+        codec_tolerance: How far the codec may change a voxel [world]; None where its bits alone decide.
     """
 
     order: int
@@ -56,6 +57,7 @@ class PlannedField(NamedTuple):
     seconds: float
     method: str = "from_mesh"
     level_count: int = 1
+    codec_tolerance: float | None = None
 
 
 @of_constants
@@ -79,8 +81,10 @@ def plan(
     Of :func:`from_mesh` there is one setting for each order and codec that can compete; all others need more memory
     than the best, whatever their other settings. The first of them is what ``from_mesh`` tries first. If it has no more
     than 20,000 leaves, it is built and checked. Otherwise it is predicted like the others, and a check may still lead
-    ``from_mesh`` to another one near it. The memory is that of the grid to a quarter. The time is extrapolated from a
-    small band of the same mesh by the number of leaves.
+    ``from_mesh`` to another one near it. The memory is to a quarter that of the grid with a row's own numbers, as the
+    example makes it: ``compact``, and with the tolerance of the codec if it has one. The other rows are not searched as
+    finely as the first: ``from_mesh(mesh, tolerance=, order=, codec=)`` of such a row may end with less than half of
+    its memory. The time is extrapolated from a small band of the same mesh by the number of leaves.
 
     One more row has the method "adaptive_from_mesh": several voxel sizes if they promise at most 0.95 of the bytes of
     one, else the field of one, which ``adaptive_from_mesh`` then makes as well. So where its ``level_count`` is 1, one
@@ -110,6 +114,10 @@ def plan(
         >>> best = gk.volume.plan(torus, 0.01, device="cpu")[0]
         >>> best.method, best.error <= 0.01, best.byte_count < 1_000_000
         ('from_mesh', True, True)
+        >>> field = gk.volume.from_mesh(torus, best.voxel_size, half_width=best.half_width, compact=True, device="cpu")
+        >>> field = gk.volume.quantize(field, best.codec, tolerance=best.codec_tolerance)
+        >>> field.info.byte_count == best.byte_count
+        True
 
     Held by: tests/volume/tolerance/test_from_mesh.py, tests/volume/adaptive/test_adaptive_envelope.py
     """
@@ -149,6 +157,7 @@ def plan(
                 setting.error,
                 round(setting.byte_count),
                 per_leaf[kind] * setting.counts.leaves,
+                codec_tolerance=setting.option.share * search.tolerance or None,
             )
         )
     if made.volume is not None:

@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geokit.volume.band.sign_change_tiles import with_sign_changes
 from geokit.volume.band.tiles import TILE_VOXELS, WORKING_BYTES, Lattice, near_tiles
@@ -16,7 +17,7 @@ from geokit.volume.nanovdb.layout import LAYOUTS, LEAF_VOXELS, QUANTIZED_HEADER
 if TYPE_CHECKING:
     from geokit.mesh._surface import Surface
 
-__all__ = ["BandCounts", "BandMemory", "lattice_within"]
+__all__ = ["BandCounts", "BandMemory", "band_start", "lattice_within"]
 
 # Most tiles that are counted. Above this the count is extrapolated with the square of the resolution.
 MOST_COUNTED = 60_000
@@ -107,6 +108,11 @@ def lattice_within(
     Index 0 is where the band begins, so that no node reaches below it. It lies on a multiple of ``tile`` [world]; None
     for the voxels' own tiles.
     """
-    reach, tile = width + offset, tile or TILE_VOXELS * voxel_size
-    start = np.floor((surface.bounds[0] - reach) / tile) * tile
+    reach = width + offset
+    start = band_start(surface, reach, tile or TILE_VOXELS * voxel_size)
     return Lattice(surface, voxel_size, reach, max(0.0, offset - width), translation=start)
+
+
+def band_start(surface: Surface, reach: float, tile: float) -> NDArray[np.float64]:
+    """The last multiples of ``tile`` [world] below all of a band."""
+    return np.asarray(np.floor((surface.bounds[0] - reach) / tile) * tile)

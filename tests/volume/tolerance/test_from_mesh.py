@@ -142,6 +142,26 @@ def test_a_refusal_names_an_error_above_the_tolerance(monkeypatch):
 
 
 @pytest.mark.slow
+def test_rows_of_a_plan_are_built_by_their_own_numbers():
+    rows = [row for row in plan(TORUS, 0.02) if row.level_count == 1]
+    assert {row.codec for row in rows} >= {"float", "fp16", "fpn"}
+    for row in rows:
+        field = from_mesh(TORUS, row.voxel_size, half_width=row.half_width, compact=True)
+        if row.codec != "float":
+            field = gk.volume.quantize(field, row.codec, tolerance=row.codec_tolerance)
+        assert 0.75 < field.info.byte_count / row.byte_count < 1.25, row
+    with pytest.raises(InputError, match="compact: only of use with method='geokit'"):
+        from_mesh(TORUS, 0.1, method="openvdb", compact=True)
+
+
+def test_a_compact_field_is_the_same_field_in_fewer_nodes():
+    plain, compact = from_mesh(TORUS, 0.05, device="cpu"), from_mesh(TORUS, 0.05, compact=True, device="cpu")
+    # Of eight upper nodes of 270 kB one is left.
+    assert plain.info.byte_count - compact.info.byte_count > 1_800_000
+    points = np.random.default_rng(0).uniform(-2.0, 2.0, (2000, 3))
+    np.testing.assert_allclose(compact.sample(points), plain.sample(points), atol=1e-6)
+
+
 def test_a_plan_says_what_comes():
     tolerance = 0.015
     fields = [field for field in plan(TORUS, tolerance) if field.method == "from_mesh"]
