@@ -445,7 +445,7 @@ def _native_calls(s: Scene) -> Iterator[Call]:
 # Kinds of parameters by words of their annotations.
 _KINDS = {
     "str": "text", "PathLike": "path", "bool": "flag", "int": "count", "float": "number", "None": "none",
-    "ArrayLike": "numbers", "NDArray": "numbers", "TriangleMesh": "object", "Surface": "object",
+    "ArrayLike": "numbers", "NDArray": "numbers", "TriangleMesh": "object", "MeshLike": "object", "Surface": "object",
     "OverlapQueries": "object", "SparseVolume": "object", "GridInfo": "object", "Trial": "object", "Chart": "object",
     "Sweep": "object", "Mapping": "mapping", "Progress": "callable", "Callable": "callable", "Function": "callable",
     "Sequence": "sequence", "Iterable": "sequence", "tuple": "sequence",
