@@ -40,11 +40,13 @@ def test_the_wheel_alone_has_what_guides_read(tmp_path: Path) -> None:
         shutil.copytree(ROOT / source, tmp_path / "site" / inside, ignore=left_out, dirs_exist_ok=True)
     empty = tmp_path / "empty"
     empty.mkdir()
-    environment = {**os.environ, "PYTHONPATH": str(tmp_path / "site")}
+    # An editable installation would put the checkout first: its hook is not loaded, and neither is any .pth.
+    places = [str(tmp_path / "site"), *(path for path in sys.path if path.endswith("-packages"))]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(places)}
 
     def run(*arguments: str) -> str:
         done = subprocess.run(
-            [sys.executable, *arguments], cwd=empty, env=environment, capture_output=True, text=True, timeout=600
+            [sys.executable, "-S", *arguments], cwd=empty, env=environment, capture_output=True, text=True, timeout=600
         )
         assert done.returncode == 0, done.stderr
         return done.stdout

@@ -257,6 +257,7 @@ def test_attributes_leave_it_there(kind, device):
         np.testing.assert_array_equal(found[name], expected)
 
 
+@pytest.mark.filterwarnings("ignore:.*has no surface at:UserWarning")
 @pytest.mark.parametrize("method", ["surface_nets", "marching_cubes", "dual_contouring"])
 @pytest.mark.parametrize("kind", ["from_mesh", "fp8", "nothing"])
 def test_a_volume_on_a_device_stays_there_too(method, kind, device):
@@ -276,6 +277,7 @@ def test_a_volume_on_a_device_stays_there_too(method, kind, device):
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:.*has no surface at:UserWarning")
 @pytest.mark.parametrize("method", ["surface_nets", "marching_cubes"])
 @pytest.mark.parametrize("share", [0.0, 0.02, 0.5, 1.0])
 def test_every_vertex_is_used_and_in_its_place(method, share, device):

@@ -163,6 +163,7 @@ class TestSegment:
         components = segment(both) if both.info.grid_class != "level set" else []
         assert [component.info.active_voxel_count for component in components] == [7**3, 5**3]
 
+    @pytest.mark.filterwarnings("ignore:.*nothing of grid:UserWarning")
     def test_nothing(self):
         assert segment(erode(level_set(ball(5.3)), 8.0)) == []
 

@@ -49,6 +49,7 @@ def test_area_and_volume_of_a_ball(radius, area_error, volume_error, size):
     assert found.volume == pytest.approx(4.0 / 3.0 * math.pi * (radius * size) ** 3, rel=volume_error)
 
 
+@pytest.mark.filterwarnings("ignore:.*nothing of grid:UserWarning")
 def test_no_active_voxel():
     found = statistics(erode(level_set(ball(5.3)), 8.0))
     assert (found.count, found.area, found.volume) == (0, 0.0, 0.0)
