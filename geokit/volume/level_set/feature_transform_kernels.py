@@ -180,12 +180,16 @@ def fill_kernel(
     nearest: wp.array(dtype=int),
     features: Features,
     voxel_size: wp.float64,
+    least: wp.float64,
     background: wp.float64,
     out_value: wp.array(dtype=Any),
     out_active: wp.array(dtype=wp.uint64),
     out_inside: wp.array(dtype=wp.uint64),
 ):
-    """Values and active voxels of a plane: held values, else distances if they are below the background."""
+    """Values and active voxels of a plane: held values, else distances if they are below the background.
+
+    No distance is less than ``least`` [voxels]: where two surfaces meet, directions of features do not tell it.
+    """
     i = first + wp.tid()
     active = wp.uint64(0)
     negative = wp.uint64(0)
@@ -201,7 +205,7 @@ def fill_kernel(
             distance = voxel_size * distance_from(
                 features, nearest[at], 8 * tiles[i >> 3] + wp.vec3i(i & 7, n >> 3, n & 7)
             )
-            distance = wp.max(distance, wp.float64(0.0))
+            distance = wp.max(distance, voxel_size * least)
             value = distance
             if bit_of(inside, at):
                 value = -distance

@@ -38,6 +38,9 @@ WAY_MARGIN = 0.5
 # Up to this width [voxels] corners of cells that a surface on the lattice crosses may not be active: they are as far as
 # the band is wide.
 NARROW = 1.0 + 1e-5
+# Least distance [voxels] beyond the corners of crossed cells: no cell around such a voxel is crossed, so the surface is
+# a voxel away, but for how far it bulges into a cell.
+BEYOND_SEEDS = 0.5
 # Fewest planes of leaves per thread.
 GRAIN = 64
 
@@ -80,10 +83,11 @@ def redistance(
     band = Band(leaves, background, voxel_size, isovalue * voxel_size)
     if keeps_band:
         band.hold_active()
-        start = old_width
+        # Voxels beyond the band are at least as far as it is wide.
+        start = least = old_width
     else:
         band.hold_seeds()
-        start = 0.0
+        start, least = 0.0, BEYOND_SEEDS
     beside = leaves.beside
     if half_width > start:
         band.spread(start, half_width, only_border=keeps_band)
@@ -91,7 +95,7 @@ def redistance(
         spread = [band.nearest, band.features]
         field = background, isovalue * voxel_size, voxel_size
         hold_beyond_edges(leaves, beside, field, half_width, spread, band.known, band.held)
-    return band.volume(volume, half_width * voxel_size)
+    return band.volume(volume, half_width * voxel_size, least)
 
 
 class Band:
@@ -242,8 +246,8 @@ class Band:
             )
             changed, changing = changing, changed
 
-    def volume(self, like: SparseVolume, background: float) -> SparseVolume:
-        """The band as a grid, with the transform, name and metadata of another."""
+    def volume(self, like: SparseVolume, background: float, least: float) -> SparseVolume:
+        """The band as a grid, with the transform, name and metadata of another; no new distance is below ``least``."""
         import warp as wp
 
         from geokit.volume.level_set import leaf_neighbors_kernels as links
@@ -258,10 +262,9 @@ class Band:
         value = wp.empty(512 * count, dtype=kind, device=device)
         active, negative = (wp.empty(8 * count, dtype=wp.uint64, device=device) for _ in range(2))
         held = leaves.extended(self.held, 8, 0)
-        inputs = [leaves.on_device, leaves.inside, held, self.known, self.nearest, self.features, self.size]
-        launcher.launch(
-            FILL[kind], 8 * count, [*inputs, wp.float64(background)], [value, active, negative], device, grain=GRAIN
-        )
+        lengths = [self.size, wp.float64(least), wp.float64(background)]
+        inputs = [leaves.on_device, leaves.inside, held, self.known, self.nearest, self.features, *lengths]
+        launcher.launch(FILL[kind], 8 * count, inputs, [value, active, negative], device, grain=GRAIN)
         needed = wp.empty(count, dtype=wp.uint8, device=device)
         launcher.launch(
             links.needed_rows_kernel, count, [active, negative, leaves.beside], [needed], device, grain=GRAIN

@@ -9,6 +9,7 @@ import geokit as gk
 from benchmarks.catalog.mesh_catalog import torus
 from geokit import native
 from geokit.errors import InputError, UnsupportedGridError
+from geokit.mesh._audit import audit
 from geokit.volume._from_mesh import from_mesh
 from geokit.volume._morphology import closing, dilate, erode, offset, opening, renormalize
 from geokit.volume.level_set.operands import with_band
@@ -235,3 +236,24 @@ def test_a_body_that_vanishes_is_told(shrink):
     body = from_mesh(gk.mesh.box(), 0.1, device="cpu")
     with pytest.warns(UserWarning, match=r"nothing of grid 'box' is left: it has no place 0\.6 deep"):
         assert shrink(body).info.active_voxel_count == 0
+
+
+@pytest.mark.parametrize(
+    ("bodies", "distance", "count"),
+    [
+        ([((0.019, 0.205, -0.008), 0.493, None), ((0.287, 0.399, 0.497), None, 0.462)], -0.25, 2),
+        ([((-0.243, -0.297, -0.106), None, 0.5), ((-0.064, -0.738, 0.543), None, 0.7)], -0.12, 1),
+        ([((-0.052, 0.069, 0.116), 0.693, None), ((-0.092, 0.35, -0.128), None, 0.608)], 0.35, 1),
+    ],
+)
+def test_an_offset_of_a_union_leaves_no_crumbs(bodies, distance, count):
+    """Voxels beyond the band, where two bodies meet, got distances of 0: holes and bodies of one voxel."""
+    parts = [
+        gk.mesh.box((2 * half,) * 3, center=center)
+        if half
+        else gk.mesh.sphere(radius=radius, center=center, segments=48)
+        for center, half, radius in bodies
+    ]
+    joined = gk.volume.union(*(from_mesh(part, 0.1, device="cpu") for part in parts))
+    made = offset(joined, distance)
+    assert audit(gk.mesh.from_volume(made, device="cpu")).component_count == count
