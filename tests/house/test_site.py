@@ -256,3 +256,15 @@ def test_every_new_page_with_code_runs() -> None:
     elsewhere = {"readme", "kernels", "gradients", "granular", "warp-tour"}
     with_code = {page.relative_to(DOCS).with_suffix("").as_posix() for page in PAGES if blocks(page)}
     assert with_code - elsewhere == {*RUN, *(f"guides/{name}" for name in GUIDES)}
+
+
+@pytest.mark.parametrize("page", [ROOT / "README.md", *PAGES], ids=lambda page: page.stem)
+def test_answers_are_taken_by_name(page: Path) -> None:
+    """closest_point has the points first, signed_distance the distances: unpacked, they are exchanged unseen."""
+    for block in blocks(page):
+        assert not re.search(r"^\s*\w+, .*= .*\b(closest_point|signed_distance)\([^()]*\)\s*(#|$)", block, re.MULTILINE)
+
+
+def test_the_install_page_counts_the_kernel_modules() -> None:
+    (said,) = re.findall(r"^- all (\d+) kernel modules", text_of(DOCS / "install.md"), re.MULTILINE)
+    assert int(said) == len(list((ROOT / "geokit").rglob("*_kernels.py")))
