@@ -18,7 +18,16 @@ from numpy.typing import NDArray
 
 from geokit.core import launcher
 from geokit.core.download import download
-from geokit.core.interop.arrays import as_table, exporter_like, floats_of, import_array, is_exporter, reinterpreted
+from geokit.core.interop.arrays import (
+    as_table,
+    broadcast_rows,
+    exporter_like,
+    flat_rows,
+    import_array,
+    is_exporter,
+    reinterpreted,
+    widened,
+)
 from geokit.core.interop.objects import points_of
 from geokit.core.launches import replay
 from geokit.core.memory.device_arena import Scratch, ScratchArray
@@ -38,11 +47,13 @@ __all__ = [
     "full",
     "mapped",
     "read_numbers",
+    "read_rows",
     "read_vectors",
     "reported_row",
     "require_finite",
     "require_finite_scalar",
     "require_length",
+    "same_rows",
 ]
 
 # Largest coordinate of queries that measure distances: squares of differences have to stay within float64. Kernels
@@ -65,7 +76,7 @@ class Batch:
             them from the host.
         is_float32: True if the caller's rows were float32; results are then float32 too.
         to_caller: Converts a result of :func:`empty` or :func:`empty_outputs` to the caller's kind of array.
-            One row of shape (3,) gets results without the leading axis.
+            Rows of shape (..., 3) get results with their leading axes; one row, of shape (3,), without any.
         first_row: Index of the first row among the caller's rows, for error messages.
         to_lists: The same for results that do not have one entry for each row, which keep their shape.
         is_shared: Whether the caller gets the memory of float64 results itself, in which kernels may still write.
@@ -112,7 +123,7 @@ def read_vectors(
         keep_float32: Keep float32 rows as vec3f, for kernels that take both types.
         pin: Keep fewer than 2,048 NumPy rows of a GPU query, and the results of :func:`empty` for them, in pinned host
             memory. Only for queries that pass both to kernels and do nothing else with them.
-        single: Also take one row of shape (3,).
+        single: Also take rows with other leading axes than one: (3,), (B, N, 3), ...
         largest: Largest magnitude of a coordinate; without ``defer``.
     Returns:
         A Batch.
@@ -122,21 +133,25 @@ def read_vectors(
     """
     import warp as wp
 
+    lead = None
     if isinstance(values, wp.array):
         require_unrecorded(values, name)
-        source = values
-        vectors = values.ndim == 1 and values.dtype in (wp.vec3f, wp.vec3d)
+        source = _as_floats(values)
+        vectors = values.dtype in (wp.vec3f, wp.vec3d)
         finish = _on_device_of(source, lambda out: out if vectors else as_table(out))
     else:
         if type(values) is not np.ndarray:
             values = points_of(values, name)
         if isinstance(values, np.ndarray) or not is_exporter(values):
             return _read_numpy(values, name, device, first_row, defer, keep_float32, pin, single, largest)
-        source = import_array(floats_of(values), name)
+        values = widened(values)
+        if single and hasattr(values, "reshape"):  # warp has arrays of four axes
+            values, lead = flat_rows(values)
+        source = _as_floats(import_array(values, name))
         finish = _on_device_of(source, exporter_like(values))
-    source = _as_floats(source)
-    alone = single and source.shape == (3,) and source.dtype in (wp.float32, wp.float64)
-    rows, is_float32 = _as_rows(source.reshape((1, 3)) if alone else source, name)
+    if single and lead is None:
+        source, lead = flat_rows(source)
+    rows, is_float32 = _as_rows(source, name)
     if rows.device != device:
         rows = rows.to(device)
     if is_float32 and not keep_float32:
@@ -149,9 +164,33 @@ def read_vectors(
     def to_lists(out: "wp.array") -> Any:
         return finish(_narrowed(_as_warp(out), is_float32))
 
-    give = _alone(to_lists) if alone else to_lists
-    is_shared = not is_float32 and not alone and source.device == device
-    return Batch(rows, is_float32, give, first_row, to_lists, is_shared)
+    is_shared = not is_float32 and lead != () and source.device == device
+    return Batch(rows, is_float32, _shaped(to_lists, lead), first_row, to_lists, is_shared)
+
+
+def read_rows(values: Sequence[Any], names: Sequence[str], device: "wp.Device", **how: Any) -> list[Batch]:
+    """Read arrays (..., 3) that have a row for each row of the others, as :func:`read_vectors` does; see
+    :func:`same_rows`.
+    """
+    values = same_rows(values, names)
+    return [read_vectors(v, name, device, single=True, **how) for v, name in zip(values, names, strict=True)]
+
+
+def same_rows(values: Sequence[Any], names: Sequence[str]) -> list[Any]:
+    """Arrays (..., 3) of equal leading axes: one row, of shape (3,), is that of all.
+
+    Raises:
+        InputError: Leading axes differ.
+    """
+    first = values[0]
+    if len(values) == 1 or (
+        hasattr(first, "dtype")
+        and all(type(v) is type(first) and v.shape == first.shape and v.dtype == first.dtype for v in values)
+    ):
+        return list(values)
+    found = {name: points_of(v, name) for name, v in zip(names, values, strict=True)}
+    tables = {name: v if is_exporter(v) else read_array(v, name) for name, v in found.items()}
+    return list(broadcast_rows(tables).values())
 
 
 def read_numbers(values: Any, name: str) -> np.ndarray:
@@ -299,9 +338,7 @@ def _read_numpy(
     table = np.ascontiguousarray(array, dtype=np.float32 if is_float32 and keep_float32 else np.float64)
     if table.size == 0 and table.ndim <= 2:
         table = table.reshape(0, 3)
-    alone = single and table.shape == (3,)
-    if alone:
-        table = table[None]
+    table, lead = flat_rows(table) if single else (table, None)
     if table.ndim != 2 or table.shape[1] != 3:
         raise InputError(f"{name}: shape {table.shape} is not (N, 3); {_remedy(table.shape)}")
     if not defer and not _all_within(table, largest):
@@ -318,24 +355,27 @@ def _read_numpy(
     def to_lists(out: Any) -> NDArray[Any]:
         return _to_numpy(out, is_float32)
 
-    return Batch(rows, is_float32, _alone(to_lists) if alone else to_lists, first_row, to_lists)
+    return Batch(rows, is_float32, _shaped(to_lists, lead), first_row, to_lists)
 
 
-def _alone(give: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """The same results without their leading axis."""
+def _shaped(give: Callable[[Any], Any], lead: tuple[int, ...] | None) -> Callable[[Any], Any]:
+    """The same results with other leading axes; None leaves them."""
+    if lead is None:
+        return give
 
-    def first(out: Any) -> Any:
+    def shape(out: Any) -> Any:
         import warp as wp
 
         found = give(out)
         if not isinstance(found, wp.array):
             if recorder := replay.current():
-                return recorder.element(found)
-            return found[0]
+                return recorder.shaped(found, lead)
+            return found.reshape((*lead, *found.shape[1:])) if lead else found[0]
         # warp has no arrays of no dimension.
-        return reinterpreted(found, found.dtype, found.shape[1:]) if found.ndim > 1 else found.numpy()[0]
+        whole = (*lead, *found.shape[1:])
+        return reinterpreted(found, found.dtype, whole) if whole else found.numpy()[0]
 
-    return first
+    return shape
 
 
 def _all_within(table: np.ndarray, largest: float) -> bool:

@@ -68,9 +68,9 @@ class Surface(SignQueries, RayQueries, DistanceQueries):
         mesh: The triangles; at least one. Of a pair (vertices, faces), vertices that are a torch tensor with gradients
             are kept as such, as by :class:`geokit.torch.Surface`; so is an array of warp that requires gradients, for
             a ``wp.Tape``.
-        device: "cpu", "cuda:0", a warp device, or None for the first GPU, else the CPU. A list of devices, or
-            ``"cuda:*"`` for all GPUs, has the mesh on each: they share queries of points and rays of 65,536 rows or
-            more (in arrays on a GPU 2 million points, 8 million rays), and the first does all else.
+        device: "cpu", "cuda:0", a device of warp, torch, JAX or CuPy, or None for the first GPU, else the CPU. A list
+            of devices, or ``"cuda:*"`` for all GPUs, has the mesh on each: they share queries of points and rays of
+            65,536 rows or more (in arrays on a GPU 2 million points, 8 million rays), and the first does all else.
     Attributes:
         mesh: The triangles.
         bounds: Bounding box of the vertices that faces use [world], shape (2, 3).

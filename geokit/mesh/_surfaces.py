@@ -73,7 +73,7 @@ class Surfaces:
             arrays: vertices (V, 3) [world], faces (F, 3) whose numbers are rows of ``vertices``, and offsets (B + 1,)
             from 0 to F: mesh m has the faces from ``offsets[m]`` to ``offsets[m + 1]``. Packed vertices that are a
             torch tensor or an array of warp with gradients are kept as such: answers carry gradients for them.
-        device: "cpu", "cuda:0", a warp device, or None for the first GPU, else the CPU.
+        device: "cpu", "cuda:0", a device of warp, torch, JAX or CuPy, or None for the first GPU, else the CPU.
     Raises:
         InputError: There is no mesh, a mesh has no faces, an array is not as above, or there is no such device.
         DeviceMemoryError: The device cannot hold the meshes.
@@ -324,7 +324,7 @@ class Surfaces:
 
         Args:
             origins: Starts of the rays [world], packed (N, 3); or (B, N, 3), as many for each mesh.
-            directions: Directions of any length [world], of the same shape.
+            directions: Directions of any length [world], of the same shape, or one of shape (3,) for all.
             offsets: Mesh m is asked the rays from ``offsets[m]`` to ``offsets[m + 1]``, (B + 1,) from 0 to N; None for
                 rays of shape (B, N, 3).
             t_min: Hits with a smaller t are ignored, in units of the direction.
@@ -346,6 +346,7 @@ class Surfaces:
 
         self._require_measurable()
         maps = self._maps(transform)
+        origins, directions = user_arrays.same_rows([origins, directions], ["origins", "directions"])
         rays, where, shaped = self._read(origins, offsets, "origins", maps)
         heading, _, _ = self._read(directions, offsets, "directions", maps, turned=True)
         kinds = [wp.float64, wp.int32, wp.vec3d]

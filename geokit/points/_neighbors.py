@@ -126,7 +126,7 @@ def _mean_count(grid: Any, queries: Any, radius: Any, groups: Any) -> float:
     """Mean number of neighbors, by a thousand of the queries."""
     step = max(1, grid._asked_rows(queries) // 1000)
     try:
-        some = np.asarray(grid._given().numpy() if queries is None else queries)[::step]
+        some = np.asarray(grid._given().numpy() if queries is None else queries).reshape(-1, 3)[::step]
         if grid._groups is not None:
             groups = -(-np.asarray(grid._groups.offsets if queries is None else groups) // step)
         return float(np.mean(grid.count(some, radius=radius, groups=groups)))

@@ -32,7 +32,7 @@ class Transmittance(NamedTuple):
 
 
 @over_devices(rows=2)
-@differentiable("geokit.volume.rays.gradients:INTEGRATE", "origins", "directions", single=False, holders=("emission",))
+@differentiable("geokit.volume.rays.gradients:INTEGRATE", "origins", "directions", holders=("emission",))
 @needs(lambda volume, origins, *_, **__: 24 * rows(origins), late=True)
 def integrate(
     volume: SparseVolume,
@@ -63,7 +63,7 @@ def integrate(
     Args:
         volume: Density, a grid of one component with a background of 0. Negative values amplify.
         origins: Start points of the rays [world], shape (N, 3).
-        directions: Directions of the rays, of any length, shape (N, 3).
+        directions: Directions of the rays, of any length, shape (N, 3), or one of shape (3,) for all.
         extinction: Optical depth of a density of 1 [1 / world].
         emission: Emitted light [1 / world], a grid with the transform of ``volume`` and a background of 0; None for no
             emission.

@@ -72,7 +72,7 @@ def raycast(
     Args:
         volume: A grid of one component, of any type, with any transform.
         origins: Start points of the rays [world], shape (N, 3).
-        directions: Directions of the rays, of any length, shape (N, 3).
+        directions: Directions of the rays, of any length, shape (N, 3), or one of shape (3,) for all.
         isovalue: The value to find.
         t_min: Crossings nearer than this are ignored, in units of the direction.
         max_distance: Length of the rays [world]; farther crossings are misses.

@@ -206,7 +206,7 @@ def test_bad_rays_and_numbers() -> None:
         surfaces.raycast(rows, np.array([[[1, 0, 0]], [[0, 0, 0.0]]]))
     with pytest.raises(InputError, match="directions: shape"):
         surfaces.raycast(rows, np.ones((2, 2, 2)))
-    with pytest.raises(InputError, match="one direction for each"):
+    with pytest.raises(InputError, match="give one for each"):
         surfaces.raycast(rows, np.ones((2, 2, 3)))
     with pytest.raises(InputError, match="index"):
         surfaces.mesh(2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -45,7 +46,7 @@ def in_chunks(
     Args:
         query: Takes one Batch for each of ``values`` and returns an array or a NamedTuple of arrays, of the caller's
             kind. It may pass the rows to kernels only; see ``pin`` of :func:`geokit.core.user_arrays.read_vectors`.
-        values: The caller's arrays, shape (N, 3) each.
+        values: The caller's arrays, shape (..., 3) each, or one row for all.
         names: Their names for error messages.
         device: The query device.
         progress: Called after each chunk with (rows done, rows in total).
@@ -56,14 +57,19 @@ def in_chunks(
     """
     if progress is not None:
         require_callable(progress, "progress")
+    values = user_arrays.same_rows(values, names)
+    if device.is_cuda and all(isinstance(value, np.ndarray) and value.ndim > 2 for value in values):
+        lead = values[0].shape[:-1]
+        if math.prod(lead) > FEWEST_ROWS and values[0].shape[-1] == 3:
+            answer = in_chunks(query, [v.reshape(-1, 3) for v in values], names, device, progress, defer=defer)
+            parts = answer if isinstance(answer, tuple) else (answer,)
+            shaped = [part.reshape((*lead, *part.shape[1:])) for part in parts]
+            return type(answer)(*shaped) if isinstance(answer, tuple) else shaped[0]
     on_host = all(isinstance(value, np.ndarray) and value.ndim == 2 for value in values)
     total = len(values[0]) if on_host else 0
     rows = _chunk_rows(device, total) if on_host else 0
     if not on_host or total <= rows or (device.is_cpu and progress is None) or any(len(v) != total for v in values):
-        batches = [
-            user_arrays.read_vectors(v, name, device, defer=defer, pin=True, single=True)
-            for v, name in zip(values, names, strict=True)
-        ]
+        batches = user_arrays.read_rows(values, names, device, defer=defer, pin=True)
         answer = query(*batches)
         if progress:
             progress(len(batches[0]), len(batches[0]))

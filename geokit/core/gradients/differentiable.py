@@ -33,7 +33,7 @@ def differentiable(
     Args:
         rule: Where the rule stands, as "package.module:NAME".
         inputs: Parameters that may be such tensors. Tensors that the first argument holds (:func:`hold`) count too.
-        single: Whether one point of shape (3,) is taken, and answered without the leading axis.
+        single: Whether rows of any leading axes are taken, (3,) or (B, N, 3), and answered with them.
         holders: Keywords whose objects may hold such tensors too; rules know them as "keyword.name".
     """
 
@@ -58,11 +58,11 @@ def differentiable(
             for name in entry.others:
                 if type(arguments[name]) not in PLAIN and is_tracked(arguments[name]):
                     raise refuse_gradients(name, arguments[name])
-            alone = entry.widen(arguments, held)
+            lead = entry.flatten(arguments, held)
             # All inputs are tensors then, also those given as NumPy: so is the answer.
             tensors = {name: arguments[name] for name in inputs if arguments[name] is not None} | held
             answer = _attach(Call(entry, tuple(tensors), Asked(tensors, arguments)))
-            return entry.first(answer) if alone else answer
+            return answer if lead is None else entry.shaped(answer, lead)
 
         return run  # type: ignore[return-value]
 

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
-from geokit.core.interop.arrays import detached, floats_of
+from geokit.core.interop.arrays import broadcast_rows, detached, flat_rows, lead_of, widened
 from geokit.core.interop.objects import points_of
 from geokit.core.launches import warp_private
 from geokit.core.require import read_array, refuse_recording
@@ -112,7 +112,7 @@ class Entry:
         query: The query, for arguments without gradients.
         rule: Gives its rule.
         inputs: Parameters that may be tensors with gradients.
-        single: Whether one point of shape (3,) is taken.
+        single: Whether rows of any leading axes are taken, also one point of shape (3,).
         holders: Parameters besides the first whose objects may hold tensors.
         parameters: Names and defaults of all parameters.
         others: Names of those that are no inputs.
@@ -165,33 +165,46 @@ class Entry:
         holder, _, key = name.rpartition(".")
         return holder or self.parameters[0][0], key
 
-    def widen(self, arguments: dict[str, Any], held: dict[str, Any]) -> bool:
-        """Make tables of inputs that are objects with points, or one point; return whether all are one point.
+    def flatten(self, arguments: dict[str, Any], held: dict[str, Any]) -> tuple[int, ...] | None:
+        """Make tables of inputs that are objects with points, or have other leading axes than one.
 
+        Returns:
+            The leading axes of the answer; None for those of a table.
         Raises:
-            InputError: All are one point, and a tape of warp records the call: warp has no arrays of no dimension.
+            InputError: It is one point, and a tape of warp records the call: warp has no arrays of no dimension.
         """
         given = {
-            name: floats_of(arguments[name]) if _is_torch_tensor(arguments[name]) else points_of(arguments[name], name)
+            name: arguments[name] if _is_torch_tensor(arguments[name]) else points_of(arguments[name], name)
             for name in self.inputs
             if arguments[name] is not None
         }
         arguments.update(given)
-        if not self.single or not given:
-            return False
+        are_rays = self.inputs == ("origins", "directions")
+        if not given or not (self.single or are_rays):
+            return None
         rows = {name: value if hasattr(value, "ndim") else read_array(value, name) for name, value in given.items()}
-        if any(tuple(value.shape) != (3,) or _has_vectors(value) for value in rows.values()):
-            return False
-        if any(map(is_on_tape, (*rows.values(), *held.values()))):
+        if any(is_on_tape(value) and lead_of(value) == () for value in rows.values()) or (
+            all(lead_of(value) == () for value in rows.values()) and any(map(is_on_tape, held.values()))
+        ):
             raise InputError(
                 f"{', '.join(rows)}: a single row has no gradient on a wp.Tape; give it as a table of shape (1, 3)"
             )
-        arguments.update({name: value[None] for name, value in rows.items()})
-        return True
+        rows = {name: widened(value) for name, value in (broadcast_rows(rows) if are_rays else rows).items()}
+        arguments.update(rows)
+        lead = None
+        for name, value in rows.items() if self.single else ():
+            arguments[name], lead = flat_rows(value)
+        return lead
 
-    def first(self, answer: Any) -> Any:
-        """The answer for one point, from that for a table of it."""
-        return answer[0] if self.kind is None else self.kind(*(out[0] for out in answer))
+    def shaped(self, answer: Any, lead: tuple[int, ...]) -> Any:
+        """The answer with other leading axes, from that for a table of the rows; lists stay those of the table."""
+        if "offsets" in getattr(self.kind, "_fields", ()):
+            return answer
+
+        def shape(out: Any) -> Any:
+            return out.reshape((*lead, *out.shape[1:])) if lead else out[0]
+
+        return shape(answer) if self.kind is None else self.kind(*map(shape, answer))
 
     def bind(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> dict[str, Any]:
         """All arguments of a call by name.
@@ -342,12 +355,3 @@ def is_warp_array(value: Any) -> bool:
     """Whether a value is an array of warp."""
     warp = sys.modules.get("warp")
     return warp is not None and isinstance(value, warp.array)
-
-
-def _has_vectors(value: Any) -> bool:
-    """Whether a value is an array of warp whose entries are vectors: each is a row."""
-    if not is_warp_array(value):
-        return False
-    import warp as wp
-
-    return value.dtype not in (wp.float32, wp.float64)

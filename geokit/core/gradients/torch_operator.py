@@ -54,14 +54,16 @@ def traced(entry: Entry, args: Any, kwargs: Any) -> Any:
     holders: tuple[Any, ...] = ()
     options: tuple[Any, ...] = ()
     tensors: list[Any] = []
-    alone = False
+    lead: tuple[int, ...] | None = None
     for place, (name, default) in enumerate(entry.parameters):
         value = args[place] if place < len(args) else kwargs.get(name, default)
         if isinstance(value, torch.Tensor):
             if name in entry.inputs and value.dtype not in (torch.float32, torch.float64):
                 value = value.double()
-            if entry.single and name in entry.inputs and value.ndim == 1:
-                alone, value = True, value[None]
+            if name == "directions" and value.ndim == 1 and "origins" in names:  # one for all
+                value = value.expand(tensors[names.index("origins")].shape)
+            elif entry.single and name in entry.inputs and value.ndim != 2:
+                lead, value = value.shape[:-1], value.reshape(-1, 3)
             names, tensors = (*names, name), [*tensors, value]
         elif value is None or isinstance(value, (bool, int, float, str)):
             options = (*options, (name, value))
@@ -76,7 +78,7 @@ def traced(entry: Entry, args: Any, kwargs: Any) -> Any:
                     tensors = [*tensors, held[key]]
     answer = torch.ops.geokit.answer(tensors, _number(entry.address, names, holders, options))
     answer = answer[0] if entry.kind is None else entry.kind(*answer)
-    return entry.first(answer) if alone else answer
+    return answer if lead is None else entry.shaped(answer, lead)
 
 
 @torch.library.custom_op("geokit::answer", mutates_args=())

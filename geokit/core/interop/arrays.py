@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import math
 import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
@@ -17,14 +19,21 @@ if TYPE_CHECKING:
 
 __all__ = [
     "as_table",
+    "broadcast_rows",
     "detached",
     "exporter_like",
-    "floats_of",
+    "flat_rows",
     "import_array",
     "is_exporter",
     "is_in_order",
+    "lead_of",
     "reinterpreted",
+    "widened",
 ]
+
+
+# Types of numbers of other libraries that kernels do not take.
+WIDENED = {"float16", "bfloat16", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
 
 
 def is_exporter(values: Any) -> bool:
@@ -70,14 +79,6 @@ def import_array(values: Any, name: str) -> "wp.array":
     except Exception as error:  # of the other library, the driver, or warp
         kind = type(values).__name__
         raise InputError(f"{name}: the {kind} cannot be shared ({error}); pass a contiguous float array") from error
-
-
-def floats_of(values: Any) -> Any:
-    """Tensors of torch with whole numbers or floats of other sizes in float64; all else as it is."""
-    torch = sys.modules.get("torch")
-    if torch is None or not isinstance(values, torch.Tensor) or values.dtype in (torch.float32, torch.float64):
-        return values
-    return values if values.dtype.is_complex or values.dtype == torch.bool else values.double()
 
 
 def _device_of_pointer(pointer: int) -> str:
@@ -147,6 +148,88 @@ def reinterpreted(array: "wp.array", dtype: Any, shape: tuple[int, ...]) -> "wp.
     view = wp.array(ptr=array.ptr, dtype=dtype, shape=shape, device=array.device)
     view._geokit_source = array
     return view
+
+
+def lead_of(values: Any) -> tuple[int, ...]:
+    """Leading axes of an array of rows (..., 3): () for one row. Entries of warp's arrays of vectors are rows."""
+    shape = tuple(values.shape)
+    return shape if _has_vectors(values) else shape[:-1]
+
+
+def flat_rows(values: Any) -> tuple[Any, tuple[int, ...] | None]:
+    """Rows (..., 3) as a table (N, 3), and their leading axes; None for a table, and for what has no rows."""
+    shape, lead = tuple(values.shape), lead_of(values)
+    if len(lead) == 1 or (lead != shape and shape[-1:] != (3,)):
+        return values, None
+    if not getattr(values, "is_contiguous", True):  # warp's has no other shape
+        values = values.contiguous()
+    return values.reshape((math.prod(lead), *shape[len(lead) :])), lead
+
+
+def broadcast_rows(tables: dict[str, Any]) -> dict[str, Any]:
+    """Arrays of rows by name, (..., 3), of which one row of shape (3,) is repeated for all rows of the others.
+
+    Raises:
+        InputError: Other leading axes differ.
+    """
+    given = {name: value for name, value in tables.items() if lead_of(value) == tuple(value.shape) or _has_three(value)}
+    lead = next((found for value in given.values() if (found := lead_of(value))), ())
+    for name, value in given.items():
+        if (own := lead_of(value)) not in ((), lead):
+            counts = (own[0], lead[0]) if len(own) == len(lead) == 1 else (own, lead)
+            first = next(iter(tables))
+            raise InputError(
+                f"{name}: {counts[0]} rows for {counts[1]} {first}; give one for each, or one of shape (3,) for all"
+            )
+        if own != lead:
+            tables = tables | {name: _repeated(value, (*lead, 3), name)}
+    return tables
+
+
+def _has_three(value: Any) -> bool:
+    return tuple(value.shape)[-1:] == (3,)
+
+
+def _repeated(row: Any, shape: tuple[int, ...], name: str) -> Any:
+    torch = sys.modules.get("torch")
+    if torch is not None and isinstance(row, torch.Tensor):
+        return row.expand(shape)
+    if not isinstance(row, np.ndarray) and hasattr(row, "__array_namespace__"):
+        return row.__array_namespace__().broadcast_to(row, shape)
+    if isinstance(row, np.ndarray):
+        return np.broadcast_to(row, shape)
+    import warp as wp
+
+    shared = import_array(row, name)
+    table: Any = wp.array(np.broadcast_to(shared.numpy(), shape), dtype=shared.dtype, device=shared.device)
+    return table if isinstance(row, wp.array) else exporter_like(row)(table)
+
+
+def _has_vectors(values: Any) -> bool:
+    warp = sys.modules.get("warp")
+    if warp is None or not isinstance(values, warp.array):
+        return False
+    return values.dtype in (warp.vec3f, warp.vec3d)
+
+
+def widened(values: Any) -> Any:
+    """An exporter of 16-bit floats or of integers as one of float64 (float32 where its library has no other)."""
+    kind = getattr(values, "dtype", None)
+    if kind is None or not _is_widened(kind):
+        return values
+    torch = sys.modules.get("torch")
+    if torch is not None and isinstance(values, torch.Tensor):
+        return values.to(torch.float64)
+    jax = sys.modules.get("jax")
+    if jax is not None and isinstance(values, jax.Array):
+        return values.astype("float64" if jax.config.jax_enable_x64 else "float32")
+    return values.astype("float64") if hasattr(values, "astype") else values
+
+
+@functools.lru_cache(maxsize=64)
+def _is_widened(kind: Any) -> bool:
+    name = getattr(kind, "name", None) or str(kind)
+    return name.rpartition(".")[2] in WIDENED
 
 
 def detached(array: "wp.array") -> "wp.array":

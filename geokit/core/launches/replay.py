@@ -233,7 +233,8 @@ class Recorder:
         if place is None or given.dtype.kind not in "fiu":
             self.usable = False
             return table
-        rows = self._rows[place] = table.copy()
+        rows = table.copy()
+        self._rows[place] = rows.reshape(given.shape)
         if largest is not None:
             self._checked.append((rows.reshape(-1), largest))
         return rows
@@ -271,13 +272,17 @@ class Recorder:
         else:
             self._results[id(values)] = values, _Result(memory, _as_float32 if is_float32 else np.ndarray.copy)
 
-    def element(self, values: np.ndarray) -> Any:
-        """The first entry of an array of the answer, noted as the answer for one point."""
-        first = values[0]
+    def shaped(self, values: np.ndarray, lead: tuple[int, ...]) -> Any:
+        """An array of the answer with other leading axes, noted as such; its first entry for ()."""
+
+        def shape(results: np.ndarray) -> Any:
+            return results.reshape((*lead, *results.shape[1:])) if lead else results[0]
+
+        found = shape(values)
         if (noted := self._results.get(id(values))) is not None:
             memory, convert = noted[1]
-            self._results[id(first)] = first, _Result(memory, lambda results: convert(results)[0])
-        return first
+            self._results[id(found)] = found, _Result(memory, lambda results: shape(convert(results)))
+        return found
 
     def launch(self, kernel: Any, count: int, arguments: list[Any], outputs: Sequence[Any], device: Any) -> None:
         """Note a launch of one slice that is about to be made.

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import errno
 import functools
+import math
 import os
 import sys
 import threading
@@ -181,6 +182,8 @@ def _look_for_torch() -> None:
 
 def rows(values: Any) -> int:
     """Number of rows of a table of any container."""
+    if len(shape := getattr(values, "shape", ())) > 2:
+        return math.prod(shape[:-1])
     return len(values) if hasattr(values, "__len__") else 0
 
 

@@ -75,10 +75,7 @@ def placed(
             _refuse_tracked(body, dict(zip(names, values, strict=False)))
             device = body._device if hasattr(body, "_device") else launcher.resolve_device(options.get("device"))
             to_body: Any = np.linalg.inv(matrix)
-            batches = [
-                user_arrays.read_vectors(value, name, device, single=True)
-                for name, value in zip(names, values, strict=False)
-            ]
+            batches = user_arrays.read_rows(values[: len(names)], names, device)
             rows: list[Any] = [
                 move(batch.array, to_body, turned=name in directions)
                 for name, batch in zip(names, batches, strict=True)

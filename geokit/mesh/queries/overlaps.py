@@ -82,8 +82,7 @@ class OverlapQueries:
         )
 
         device = self._device
-        low = user_arrays.read_vectors(lower, "lower", device, single=True)
-        high = user_arrays.read_vectors(upper, "upper", device, single=True)
+        low, high = user_arrays.read_rows([lower, upper], ["lower", "upper"], device)
         _require_boxes(low, high)
         boxes, tree = [low.rows, high.rows], [self._tree, self._slot_boxes]
         offsets = wp.zeros(len(low) + 1, dtype=wp.int64, device=device)
@@ -228,8 +227,6 @@ def _require_boxes(lower: user_arrays.Batch, upper: user_arrays.Batch) -> None:
 
     from geokit.mesh.queries.overlaps_kernels import first_inverted_kernel
 
-    if len(lower) != len(upper):
-        raise InputError(f"upper: {len(upper)} rows for {len(lower)} of lower; give one for each")
     row = user_arrays.reported_row(first_inverted_kernel, lower.rows, [upper.rows])
     if row >= 0:
         low, high = (batch.rows[row : row + 1].numpy()[0].tolist() for batch in (lower, upper))

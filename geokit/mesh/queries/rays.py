@@ -39,6 +39,8 @@ GROUPS_PER_THREAD = 8
 FEWEST_IN_PASSES = 1 << 14
 
 
+NAMES = ("origins", "directions")
+
 # A kernel, its number of items, and its inputs.
 _Launch = tuple[Any, int, list[Any]]
 
@@ -102,7 +104,7 @@ class RayQueries:
 
         Args:
             origins: Starts of the rays [world], shape (N, 3).
-            directions: Directions of any length [world], shape (N, 3).
+            directions: Directions of any length [world], shape (N, 3), or one of shape (3,) for all.
             t_min: Hits with a smaller t are ignored, in units of the direction; for rays that start on the surface.
             max_distance: Length of the rays [world]; farther hits are misses.
             watertight: Has no effect. False would allow leaks if that were faster, but it is not: the same traversal
@@ -174,7 +176,7 @@ class RayQueries:
 
         Args:
             origins: Starts of the rays [world], shape (N, 3).
-            directions: Directions of any length [world], shape (N, 3).
+            directions: Directions of any length [world], shape (N, 3), or one of shape (3,) for all.
             t_min: Crossings with a smaller t are ignored, in units of the direction.
             max_distance: Length of the rays [world].
             transform: Where the surface is: a rigid map for column vectors, shape (4, 4). Arguments and answers are in
@@ -195,8 +197,7 @@ class RayQueries:
 
         from geokit.mesh.queries.crossings_kernels import list_crossings_kernel
 
-        rays = user_arrays.read_vectors(origins, "origins", self._device, defer=True, single=True)
-        directions = user_arrays.read_vectors(directions, "directions", self._device, defer=True, single=True)
+        rays, directions = user_arrays.read_rows([origins, directions], NAMES, self._device, defer=True)
         count = self._count_crossings(rays, directions, t_min, max_distance)
         offsets = row_offsets(count)
         total = int(offsets[-1:].numpy()[0])
@@ -226,7 +227,7 @@ class RayQueries:
 
         Args:
             origins: Starts of the rays [world], shape (N, 3).
-            directions: Directions of any length [world], shape (N, 3).
+            directions: Directions of any length [world], shape (N, 3), or one of shape (3,) for all.
             t_min: Crossings with a smaller t are ignored, in units of the direction.
             max_distance: Length of the rays [world].
             transform: Where the surface is: a rigid map for column vectors, shape (4, 4). Arguments and answers are in
@@ -265,7 +266,7 @@ class RayQueries:
 
         Args:
             origins: Starts of the rays [world], shape (N, 3).
-            directions: Directions of any length [world], shape (N, 3).
+            directions: Directions of any length [world], shape (N, 3), or one of shape (3,) for all.
             t_min: Hits with a smaller t are ignored, in units of the direction.
             max_distance: Length of the rays [world]; farther hits are ignored.
             transform: Where the surface is: a rigid map for column vectors, shape (4, 4). Arguments and answers are in
@@ -317,8 +318,7 @@ class RayQueries:
         return count
 
     def _in_chunks(self, query: Any, origins: Any, directions: Any, progress: Progress | None) -> Any:
-        names = ["origins", "directions"]
-        return in_chunks(query, [origins, directions], names, self._device, progress, defer=True)
+        return in_chunks(query, [origins, directions], NAMES, self._device, progress, defer=True)
 
     def _begin(
         self,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import user_arrays
-from geokit.errors import InputError, UnsupportedGridError
+from geokit.errors import UnsupportedGridError
 from geokit.volume._model import SparseVolume
 from geokit.volume.nanovdb.checks import check_volume
 from geokit.volume.nanovdb.nodes import bits_of, grid_nodes, root_origins
@@ -76,18 +76,15 @@ def read_rays(origins: Any, directions: Any, device: "wp.Device") -> tuple[user_
     """Origins and directions as batches of equal length. The kernel checks their rows.
 
     Args:
-        origins: Shape (N, 3).
-        directions: Shape (N, 3).
+        origins: Shape (..., 3).
+        directions: Of the same shape, or one for all.
         device: Device of the kernels.
     Returns:
         Both batches.
     Raises:
         InputError: A wrong shape or dtype, or lengths that differ.
     """
-    rays = user_arrays.read_vectors(origins, "origins", device, defer=True, single=True)
-    heading = user_arrays.read_vectors(directions, "directions", device, defer=True, single=True)
-    if len(rays) != len(heading):
-        raise InputError(f"directions: {len(heading)} rows for {len(rays)} origins; give one direction for each")
+    rays, heading = user_arrays.read_rows([origins, directions], ["origins", "directions"], device, defer=True)
     return rays, heading
 
 

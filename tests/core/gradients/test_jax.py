@@ -39,6 +39,14 @@ batches = jax.vmap(distance)(points.reshape(4, 5, 3))
 assert (batches.ravel() == distance(points)).all()
 slope = jax.jit(jax.grad(lambda p: (surface.signed_distance(p).distance ** 2).sum()))(points)
 assert slope.shape == (20, 3)
+folded = points.reshape(4, 5, 3)
+slope_of_folded = jax.jit(jax.grad(lambda p: (surface.signed_distance(p).distance ** 2).sum()))(folded)
+assert (slope_of_folded.reshape(20, 3) == slope).all()
+assert surface.closest_point(folded).points.shape == (4, 5, 3)
+up = jnp.asarray([0.0, 0.0, 1.0])
+assert surface.raycast(folded, up).t.shape == (4, 5)
+assert surface.closest_point(points.astype(jnp.bfloat16)).distance.dtype == "float64"
+assert gk.mesh.Surface(body, device=jax.devices("cpu")[0]).device == "cpu"
 
 a, b = (jnp.asarray(random.random((count, 3))) for count in (15, 12))
 check_grads(whole(lambda a, b: gk.points.chamfer(a, b, device="cpu").distance), (a, b), order=1, modes=["rev"])
