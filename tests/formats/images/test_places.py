@@ -404,3 +404,23 @@ def test_npy_says_that_it_has_no_place(tmp_path: Path) -> None:
         gk.volume.save(tmp_path / "a.npy", volume_at(STRAIGHT))
     np.testing.assert_array_equal(np.load(tmp_path / "a.npy"), VALUES)
     gk.volume.save(tmp_path / "b.npy", gk.volume.from_dense(VALUES))
+
+
+@pytest.mark.parametrize("skip", [-1, 0, 7])
+def test_raw_voxels_of_a_nrrd_may_stand_at_the_end_of_their_file(tmp_path: Path, skip: int) -> None:
+    before = b"" if skip == 0 else b"header "
+    (tmp_path / "a.raw").write_bytes(before + VALUES.astype("<f4").tobytes(order="F"))
+    sizes = " ".join(map(str, VALUES.shape))
+    lines = ["NRRD0004", "type: float", "dimension: 3", f"sizes: {sizes}", "encoding: raw", "endian: little"]
+    (tmp_path / "a.nhdr").write_text("\n".join([*lines, f"byte skip: {skip}", "data file: a.raw", ""]))
+    np.testing.assert_array_equal(gk.volume.load(tmp_path / "a.nhdr").to_dense().values, VALUES)
+
+
+@pytest.mark.parametrize(("skip", "encoding"), [(-2, "raw"), (-1, "gzip")])
+def test_other_negative_skips_of_a_nrrd_are_refused(tmp_path: Path, skip: int, encoding: str) -> None:
+    (tmp_path / "a.raw").write_bytes(VALUES.astype("<f4").tobytes(order="F"))
+    sizes = " ".join(map(str, VALUES.shape))
+    lines = ["NRRD0004", "type: float", "dimension: 3", f"sizes: {sizes}", f"encoding: {encoding}", "endian: little"]
+    (tmp_path / "a.nhdr").write_text("\n".join([*lines, f"byte skip: {skip}", "data file: a.raw", ""]))
+    with pytest.raises(gk.FileFormatError, match=f"skips {skip} bytes; the file is damaged"):
+        gk.volume.load(tmp_path / "a.nhdr")

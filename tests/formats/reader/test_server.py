@@ -369,3 +369,9 @@ def test_real_files_beside_damaged_ones(tmp_path, kind):
         np.testing.assert_array_equal(gk.mesh.load(path).faces, mesh.faces)
         with pytest.raises(gk.FileFormatError):
             gk.mesh.load(damaged)
+
+
+def test_exit_statuses_are_named():
+    assert [reader_server.status_name(status) for status in (-9, -1, 0, 1, 3)] == [
+        "SIGKILL", "SIGHUP", "status 0", "status 1", "status 3"
+    ]  # fmt: skip

@@ -1,7 +1,7 @@
 """Adaptive distance fields: which level answers, what it says, files, and what is refused."""
 
 from dataclasses import replace
-from types import MappingProxyType
+from types import MappingProxyType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +16,7 @@ from geokit.mesh._surface import Surface
 from geokit.volume import from_dense, from_mesh, load, quantize, save
 from geokit.volume._adaptive import LEVEL, LEVEL_COUNT, AdaptiveSDF, adaptive_from_mesh, load_adaptive
 from geokit.volume._model import SparseVolume
+from geokit.volume._plan import _adaptive
 from geokit.volume.adaptive import refine
 from geokit.volume.adaptive import sample_kernels as kernels
 from geokit.volume.adaptive.level_sizes import common_step
@@ -537,3 +538,14 @@ def test_levels_that_are_refused():
         AdaptiveSDF((levels[0], _grid(values[1], np.zeros(3, int), SIZE / 2, origin + 0.01)))
     with pytest.raises(InputError, match="too far apart"):
         AdaptiveSDF((levels[0], _grid({(0, 0, 0): 1.0}, np.zeros(3, int), SIZE / 2, origin + SIZE * 2.0**30)))
+
+
+@pytest.mark.parametrize(("order", "reach"), [(1, 3.0**0.5), (2, 12.0**0.5), (3, 12.0**0.5)])
+def test_the_planned_band_holds_the_stencils_of_all_points_within(order, reach):
+    size, within = 0.03125, 0.1
+    storage = SimpleNamespace(order=order, within=within, tolerance=0.01, codec_of=lambda size: "fp16")
+    lattice = SimpleNamespace(size=size)
+    tree = SimpleNamespace(storage=storage, lattice=lattice, lattice_of=lambda level: lattice, level_count=4)
+    row = _adaptive(tree, 1000.4, 2.0)
+    assert row.half_width * size == pytest.approx(reach * size + within)
+    assert (row.order, row.codec, row.voxel_size, row.byte_count, row.level_count) == (order, "fp16", size, 1000, 4)

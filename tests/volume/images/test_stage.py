@@ -220,3 +220,12 @@ def test_the_command_line(home: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert "density" in capsys.readouterr().out
     assert main(["convert", str(home / "b.nvdb"), str(home / "c.ply"), "--kind", "volume"]) == 1
     assert "--kind: .ply files are no volume" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("field", "grid_type"),
+    [('token fieldName = "vel.x"', "vec3f"), ('token fieldName = "density"', "float"), ("", "float")],
+)
+def test_inspect_tells_of_the_grid_that_a_field_names(home: Path, field: str, grid_type: str) -> None:
+    path = stage(home / "a.usda", "./sub/a.vdb", field)
+    assert [info.grid_type for info in gk.volume.inspect(path)] == [grid_type]
