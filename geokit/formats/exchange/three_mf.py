@@ -66,6 +66,8 @@ def read_mesh(path: Path) -> list[Body]:
     start = archive.start()
     root = archive.model(start)
     found = _Placed(archive)
+    if sum(found.objects_at(start, place, ()) for place in root.items) > _MOST_BODIES:
+        raise FileFormatError(f"{path}: places more than {_MOST_BODIES:,} bodies; export fewer at a time")
     for place in root.items:
         found.add(start, place, np.eye(4), ())
     if not root.items:
@@ -163,14 +165,27 @@ class _Placed:
         self.archive = archive
         self.bodies: list[Body] = []
         self.aside = 0
-        self._count = 0
+        self._counts: dict[tuple[str, str], int] = {}
+
+    def objects_at(self, file: str, place: _Place, above: tuple[tuple[str, str], ...]) -> int:
+        """Number of objects that stand at a place, without placing them; what is damaged is left to :meth:`add`."""
+        file, here, found = self._found(file, place)
+        if found is None or found.kind in _ASIDE or here in above:
+            return 0
+        if here not in self._counts:
+            parts = (self.objects_at(file, component, (*above, here)) for component in found.components)
+            self._counts[here] = 1 + sum(parts)
+        return self._counts[here]
+
+    def _found(self, file: str, place: _Place) -> tuple[str, tuple[str, str], _Object | None]:
+        """The file and the object that a place names, as seen from a file, and both as a key."""
+        file = posixpath.normpath(place.file).lstrip("/") if place.file else file
+        return file, (_key(file), place.object), self.archive.model(file).objects.get(place.object)
 
     def add(self, file: str, place: _Place, matrix: NDArray[np.float64], above: tuple[tuple[str, str], ...]) -> None:
         """Add what stands at a place, as seen from a file, below the objects ``above``."""
         path = self.archive.path
-        file = posixpath.normpath(place.file).lstrip("/") if place.file else file
-        found = self.archive.model(file).objects.get(place.object)
-        here = _key(file), place.object
+        file, here, found = self._found(file, place)
         if found is None:
             raise FileFormatError(
                 f"{path}: {file} has no object {place.object[:40]!r}; the file is damaged, export it again"
@@ -183,9 +198,6 @@ class _Placed:
         if found.kind in _ASIDE:
             self.aside += 1
             return
-        self._count += 1
-        if self._count > _MOST_BODIES:
-            raise FileFormatError(f"{path}: places more than {_MOST_BODIES:,} bodies; export fewer at a time")
         matrix = matrix @ place.matrix
         if found.triangles:
             self.bodies.append(_body(found, matrix))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import geokit as gk
+from geokit.formats.exchange import three_mf
 
 CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
 PRODUCTION = "http://schemas.microsoft.com/3dmanufacturing/production/2015/06"
@@ -168,11 +169,25 @@ class TestRefusals:
         with pytest.raises(gk.FileFormatError, match=r"requires the 3MF extension 'http.*beamlattice"):
             load(root)
 
-    def test_more_bodies_than_anyone_prints(self, load):
-        """Components of components: a small file, a hundred million bodies."""
+    def test_more_bodies_than_anyone_prints(self, load, tmp_path, monkeypatch):
+        """Components of components: a small file, a hundred million bodies. They are counted, none is placed."""
         levels = "".join(joined(n, *([component(n - 1)] * 10)) for n in range(2, 10))
         with pytest.raises(gk.FileFormatError, match="places more than 65,536 bodies"):
             load(model(body(1) + levels, item(9)))
+        monkeypatch.setattr(three_mf, "_body", lambda *_: pytest.fail("a body is placed"))
+        with pytest.raises(gk.FileFormatError, match="places more than 65,536 bodies"):
+            three_mf.read_mesh(tmp_path / "a.3mf")
+
+    def test_as_many_bodies_as_are_taken(self, load, tmp_path, monkeypatch):
+        """Supports do not count, nor does what stands below them."""
+        monkeypatch.setattr(three_mf, "_MOST_BODIES", 5)
+        taken = body(1) + joined(2, component(1), component(1)) + joined(3, *[component(1)] * 9, type="support")
+        with pytest.warns(UserWarning, match="1 supports"):
+            load(model(taken, item(2) + item(1) + item(1) + item(3)), quiet=False)
+        assert len(three_mf.read_mesh(tmp_path / "a.3mf")) == 4
+        load(model(taken, item(2) + item(2)))
+        with pytest.raises(gk.FileFormatError, match="places more than 5 bodies"):
+            three_mf.read_mesh(tmp_path / "a.3mf")
 
     def test_archives_that_are_none_of_3mf(self, tmp_path):
         with zipfile.ZipFile(tmp_path / "a.3mf", "w") as archive:
