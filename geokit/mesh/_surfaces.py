@@ -206,9 +206,9 @@ class Surfaces:
             offsets: Mesh m is asked the points from ``offsets[m]`` to ``offsets[m + 1]``, (B + 1,) from 0 to N; None
                 for points of shape (B, N, 3).
             max_distance: Search radius [world]; farther points are misses.
-            transform: Where the meshes are: a rigid map for column vectors for each mesh, shape (B, 4, 4). Arguments
-                and answers are in world coordinates; moving them rounds each to 1e-15 of its size. None leaves the
-                meshes in place.
+            transform: Where they are: a rigid map or mirror for column vectors for each mesh, shape (B, 4, 4).
+                Arguments and answers are in world coordinates; moving them rounds each to 1e-15 of its size. None
+                leaves the meshes in place.
         Returns:
             ClosestPoints; each ``triangle_id`` is a row of its mesh's faces.
         Raises:

@@ -70,7 +70,12 @@ def chart_bytes(*_: object, **__: object) -> int:
     return (20 if "matplotlib.pyplot" in sys.modules else 42) << 20
 
 
-def checked_target(path: str | os.PathLike[str], kinds: tuple[str, ...] = (".png",)) -> Path:
+def checked_target(path: str | os.PathLike[str] | None, kinds: tuple[str, ...] = (".png",)) -> Path:
+    if path is None:
+        raise InputError(
+            "path: a figure is a file; give its name first, as in figure('part.png', mesh=mesh). mesh.show() and "
+            "render.view(mesh) show a mesh, a cloud or a volume without one"
+        )
     require_extension(path, kinds, "figure")
     return require_path(path)
 

@@ -110,7 +110,7 @@ class _Look(NamedTuple):
 @of_constants
 @needs(figure_bytes, fatal=True)
 def figure(
-    path: str | os.PathLike[str],
+    path: str | os.PathLike[str] | None = None,
     *,
     mesh: MeshLike | None = None,
     volume: "SparseVolume | None" = None,
@@ -141,7 +141,7 @@ def figure(
     as fog (vectors by their length), or as its surface at ``isovalue`` if one is given.
 
     Args:
-        path: Target, a .png file.
+        path: Target, a .png file; required. ``mesh.show()`` and :func:`geokit.render.view` show without a file.
         mesh: Triangles to draw.
         volume: A grid to draw.
         points: Points to draw [world], shape (N, 3), or a cloud, which is drawn in its own colors.

@@ -405,3 +405,8 @@ def test_triton_is_loaded_before_mesa(tmp_path: Path) -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert set(done.stdout.split()) == {"True"}, done.stderr
+
+
+def test_a_figure_without_a_file_says_what_shows_one(sphere: TriangleMesh) -> None:
+    with pytest.raises(InputError, match=r"path: .*figure\('part.png', mesh=mesh\).*mesh.show\(\)"):
+        render.figure(mesh=sphere)

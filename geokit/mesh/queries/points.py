@@ -43,7 +43,7 @@ QUERY_GROUP = 32
 class ClosestPoints(NamedTuple):
     """points (N, 3) [world], distance (N,) [world], triangle_id (N,), barycentric (N, 3).
 
-    A miss has triangle_id -1, distance inf, and NaN elsewhere.
+    A miss has triangle_id -1, distance inf, and NaN elsewhere. Read fields by name: SignedDistances has another order.
     """
 
     points: Any
@@ -92,7 +92,7 @@ class PointQueries:
         Args:
             points: Query points [world], shape (N, 3).
             max_distance: Search radius [world]; farther points are misses.
-            transform: Where the surface is: a rigid map for column vectors, shape (4, 4). Arguments and answers are in
+            transform: Where it is: a rigid map or mirror for column vectors, shape (4, 4). Arguments and answers are in
                 world coordinates; moving them rounds each to 1e-15 of its size. None leaves the surface in place.
             progress: Called as ``progress(done, total)`` after each block of a few million queries.
         Returns:
@@ -183,7 +183,7 @@ class PointQueries:
 
         Args:
             points: Query points [world], shape (N, 3).
-            transform: Where the surface is: a rigid map for column vectors, shape (4, 4). Arguments and answers are in
+            transform: Where it is: a rigid map or mirror for column vectors, shape (4, 4). Arguments and answers are in
                 world coordinates; moving them rounds each to 1e-15 of its size. None leaves the surface in place.
         Returns:
             FurthestPoints with points (N, 3) [world], distance (N,) [world], triangle_id (N,).

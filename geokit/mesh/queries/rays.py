@@ -109,7 +109,7 @@ class RayQueries:
             max_distance: Length of the rays [world]; farther hits are misses.
             watertight: Has no effect. False would allow leaks if that were faster, but it is not: the same traversal
                 runs, and the answers are the same to the last bit.
-            transform: Where the surface is: a rigid map for column vectors, shape (4, 4). Arguments and answers are in
+            transform: Where it is: a rigid map or mirror for column vectors, shape (4, 4). Arguments and answers are in
                 world coordinates; moving them rounds each to 1e-15 of its size. None leaves the surface in place.
             progress: Called as ``progress(done, total)`` after each block of a few million rays.
         Returns:
@@ -179,7 +179,7 @@ class RayQueries:
             directions: Directions of any length [world], shape (N, 3), or one of shape (3,) for all.
             t_min: Crossings with a smaller t are ignored, in units of the direction.
             max_distance: Length of the rays [world].
-            transform: Where the surface is: a rigid map for column vectors, shape (4, 4). Arguments and answers are in
+            transform: Where it is: a rigid map or mirror for column vectors, shape (4, 4). Arguments and answers are in
                 world coordinates; moving them rounds each to 1e-15 of its size. None leaves the surface in place.
         Returns:
             RayHitLists with offsets (N + 1,), t (H,) in units of the direction, triangle_id (H,), barycentric (H, 3).
@@ -230,7 +230,7 @@ class RayQueries:
             directions: Directions of any length [world], shape (N, 3), or one of shape (3,) for all.
             t_min: Crossings with a smaller t are ignored, in units of the direction.
             max_distance: Length of the rays [world].
-            transform: Where the surface is: a rigid map for column vectors, shape (4, 4). Arguments and answers are in
+            transform: Where it is: a rigid map or mirror for column vectors, shape (4, 4). Arguments and answers are in
                 world coordinates; moving them rounds each to 1e-15 of its size. None leaves the surface in place.
             progress: Called as ``progress(done, total)`` after each block of a few million rays.
         Returns:
@@ -269,7 +269,7 @@ class RayQueries:
             directions: Directions of any length [world], shape (N, 3), or one of shape (3,) for all.
             t_min: Hits with a smaller t are ignored, in units of the direction.
             max_distance: Length of the rays [world]; farther hits are ignored.
-            transform: Where the surface is: a rigid map for column vectors, shape (4, 4). Arguments and answers are in
+            transform: Where it is: a rigid map or mirror for column vectors, shape (4, 4). Arguments and answers are in
                 world coordinates; moving them rounds each to 1e-15 of its size. None leaves the surface in place.
             progress: Called as ``progress(done, total)`` after each block of a few million rays.
         Returns:

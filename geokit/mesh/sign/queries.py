@@ -36,7 +36,10 @@ SIGN_METHODS = ("auto", "winding", "pseudonormal", "parity")
 
 
 class SignedDistances(NamedTuple):
-    """distance (N,) [world], negative inside; points (N, 3) [world], triangle_id (N,), barycentric (N, 3)."""
+    """distance (N,) [world], negative inside; points (N, 3) [world], triangle_id (N,), barycentric (N, 3).
+
+    Read fields by name: ClosestPoints begins with the points.
+    """
 
     distance: Any
     points: Any
@@ -117,7 +120,7 @@ class SignQueries(PointQueries):
             sign: "auto", "pseudonormal", "winding" or "parity".
             max_distance: Search radius [world]; farther points have distance inf or -inf, triangle_id -1 and NaN
                 elsewhere. Their signs are by winding number if ``sign`` is "pseudonormal".
-            transform: Where the surface is: a rigid map for column vectors, shape (4, 4). Arguments and answers are in
+            transform: Where it is: a rigid map or mirror for column vectors, shape (4, 4). Arguments and answers are in
                 world coordinates; moving them rounds each to 1e-15 of its size. None leaves the surface in place.
             progress: Called as ``progress(done, total)`` after each block of a few million queries.
         Returns:
@@ -173,7 +176,7 @@ class SignQueries(PointQueries):
         Args:
             points: Query points [world], shape (N, 3).
             sign: "auto", "pseudonormal", "winding" or "parity"; see :meth:`signed_distance`.
-            transform: Where the surface is: a rigid map for column vectors, shape (4, 4). Arguments and answers are in
+            transform: Where it is: a rigid map or mirror for column vectors, shape (4, 4). Arguments and answers are in
                 world coordinates; moving them rounds each to 1e-15 of its size. None leaves the surface in place.
             progress: Called as ``progress(done, total)`` after each block of a few million queries.
         Returns:
@@ -239,7 +242,7 @@ class SignQueries(PointQueries):
         Args:
             points: Query points [world], shape (N, 3).
             as_given: Whether faces keep the winding that they have in ``mesh``.
-            transform: Where the surface is: a rigid map for column vectors, shape (4, 4). Arguments and answers are in
+            transform: Where it is: a rigid map or mirror for column vectors, shape (4, 4). Arguments and answers are in
                 world coordinates; moving them rounds each to 1e-15 of its size. None leaves the surface in place.
             progress: Called as ``progress(done, total)`` after each block of a few million queries.
         Returns:
@@ -280,7 +283,7 @@ class SignQueries(PointQueries):
 
         Args:
             points: Query points [world], shape (N, 3).
-            transform: Where the surface is: a rigid map for column vectors, shape (4, 4). Arguments and answers are in
+            transform: Where it is: a rigid map or mirror for column vectors, shape (4, 4). Arguments and answers are in
                 world coordinates; moving them rounds each to 1e-15 of its size. None leaves the surface in place.
         Returns:
             float (N,).
