@@ -24,7 +24,8 @@ from geokit.core import launcher
 
 BLOCK = 1 << 20
 LOWEST, HIGHEST = -1.5, 1.5
-STRIPS = 6
+STRIPS = 8
+CELLS = 5657  # along each side of a strip: 64 million triangles
 PART_QUERIES = 20_000_000
 
 
@@ -115,6 +116,7 @@ class MeshInParts:
         self._strips, self._boxes, self._first = [], [], [0]
         for number, mesh in enumerate(meshes):
             self._strips.append(gk.mesh.Surface(mesh, device=gpus[number % len(gpus)]))
+            print(f"strip {number}: " + ", ".join(f"{used(gpu):.1f}" for gpu in gpus) + " GiB", flush=True)
             self._boxes.append(mesh.bounds)
             self._first.append(self._first[-1] + mesh.face_count)
 
@@ -163,7 +165,7 @@ def strip(number: int, flat: tuple[np.ndarray, np.ndarray]) -> gk.mesh.TriangleM
 
 def parts(count: int) -> None:
     gpus = launcher.cuda_devices()
-    flat = terrain(SIDES["98 M"])
+    flat = terrain(CELLS)
     start = time.perf_counter()
     whole = MeshInParts((strip(number, flat) for number in range(count)), gpus)
     seconds = time.perf_counter() - start

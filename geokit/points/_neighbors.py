@@ -1016,7 +1016,7 @@ def _require_near(farthest: float, cell: NDArray[np.float64], name: str) -> None
 # Neighbors of points on a GPU are found in less time than it takes to copy the points to another one, unless there are
 # very many.
 @shares(
-    dict.fromkeys(("count", "radius_search", "neighbor_list", "knn", "hybrid"), 1 << 24),
+    {"count": 40_000_000} | dict.fromkeys(("radius_search", "neighbor_list", "knn", "hybrid"), 1 << 24),
     count=1,
     radius_search=1,
     neighbor_list=1,

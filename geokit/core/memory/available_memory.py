@@ -5,10 +5,13 @@ It is checked before a large allocation, because a process that the system kills
 
 from __future__ import annotations
 
+import ctypes
 import os
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from geokit.core.launches.cuda_driver import cuda_driver
 
 try:
     import resource
@@ -23,6 +26,7 @@ __all__ = ["available", "available_host"]
 # Used where the system reports nothing: small enough for any machine, large enough for ordinary work.
 ASSUMED_BYTES = 4 << 30
 UNLIMITED = 1 << 62
+RESERVED_MEMORY, USED_MEMORY = 5, 7  # CU_MEMPOOL_ATTR_RESERVED_MEM_CURRENT, CU_MEMPOOL_ATTR_USED_MEM_CURRENT
 
 
 def available_host() -> int:
@@ -38,8 +42,26 @@ def available_host() -> int:
 
 
 def available(device: "wp.Device") -> int:
-    """Bytes that can still be allocated on ``device``."""
-    return available_host() if device.is_cpu else int(device.free_memory)
+    """Bytes that can still be allocated on ``device``, on a GPU also those that warp's allocator holds idle."""
+    return available_host() if device.is_cpu else int(device.free_memory) + _idle_in_pool(device)
+
+
+def _idle_in_pool(device: "wp.Device") -> int:
+    """Bytes of a GPU that no array uses and warp's allocator keeps for the next: the driver counts them as taken.
+
+    It keeps up to a quarter of the GPU, so that what fits was refused after other work.
+    """
+    if not device.is_mempool_enabled:
+        return 0
+    driver, number, pool = cuda_driver(), ctypes.c_int(), ctypes.c_void_p()
+    status = driver.cuDeviceGet(ctypes.byref(number), ctypes.c_int(device.ordinal))
+    status = status or driver.cuDeviceGetDefaultMemPool(ctypes.byref(pool), number)
+    sizes = []
+    for attribute in (RESERVED_MEMORY, USED_MEMORY):
+        size = ctypes.c_uint64()
+        status = status or driver.cuMemPoolGetAttribute(pool, ctypes.c_int(attribute), ctypes.byref(size))
+        sizes.append(size.value)
+    return 0 if status else max(0, sizes[0] - sizes[1])
 
 
 def _free() -> int:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from geokit.core.download import download_into
 from geokit.core.launcher import resolve_device
+from geokit.core.memory.available_memory import available
 from geokit.errors import DeviceMemoryError
 from geokit.volume.nanovdb.checks import check_volume
 from geokit.volume.nanovdb.grid_array import array_of, copied_grid, made_volume, uploaded_grid
@@ -45,9 +46,9 @@ def upload(volume: SparseVolume, device: Any = None) -> "wp.Volume":
         return volume._uploads[found.alias][0]
     buffer = volume.nanovdb
     check_volume(volume)  # a kernel follows the buffer's offsets blindly
-    if found.is_cuda and found.free_memory < len(buffer):
+    if found.is_cuda and (free := available(found)) < len(buffer):
         raise DeviceMemoryError(
-            f"volume {volume.info.name!r}: {len(buffer)} bytes do not fit into the {found.free_memory} free bytes of "
+            f"volume {volume.info.name!r}: {len(buffer)} bytes do not fit into the {free} free bytes of "
             f"{found.alias}; use a coarser grid or another device",
             need=len(buffer),
         )

@@ -8,6 +8,7 @@ import numpy as np
 
 from geokit.core import launcher
 from geokit.core.launches import replay
+from geokit.core.memory.available_memory import available
 
 if TYPE_CHECKING:
     import warp as wp
@@ -116,7 +117,7 @@ def _make(
     table.top = wp.array(starts, dtype=wp.int32, device=device)
     table.slots = slots
     if device.is_cuda and with_pairs:
-        add_pairs(table, listed, int(PAIRS_SHARE * device.free_memory))
+        add_pairs(table, listed, int(PAIRS_SHARE * available(device)))
     return table
 
 
