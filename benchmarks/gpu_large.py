@@ -20,6 +20,7 @@ import warp as wp
 
 import geokit as gk
 from benchmarks import inputs
+from geokit.core.memory.available_memory import available
 
 # Cells along each side of a terrain that is 20 wide; two triangles each.
 SIDES = {"10 M": 2236, "32 M": 4000, "98 M": 7000}
@@ -69,7 +70,7 @@ class Report:
         return found
 
     def _free(self) -> int:
-        return int(self._device.free_memory) if self._device.is_cuda else 0
+        return available(self._device) if self._device.is_cuda else 0
 
 
 def terrain(cells: int) -> tuple[np.ndarray, np.ndarray]:
