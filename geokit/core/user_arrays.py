@@ -173,7 +173,11 @@ def read_rows(values: Sequence[Any], names: Sequence[str], device: "wp.Device", 
     :func:`same_rows`.
     """
     values = same_rows(values, names)
-    return [read_vectors(v, name, device, single=True, **how) for v, name in zip(values, names, strict=True)]
+    batches = [read_vectors(v, name, device, single=True, **how) for v, name in zip(values, names, strict=True)]
+    for batch, name in zip(batches, names, strict=True):
+        if len(batch) != len(batches[0]):  # an empty list is no row for all
+            raise InputError(f"{name}: {len(batch)} rows for {len(batches[0])} {names[0]}; give one for each")
+    return batches
 
 
 def same_rows(values: Sequence[Any], names: Sequence[str]) -> list[Any]:

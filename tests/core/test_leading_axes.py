@@ -226,6 +226,22 @@ def test_other_numbers_of_rows_are_refused() -> None:
         gk.points.NeighborGrid(ROWS, radius=0.5, device="cpu")
 
 
+@pytest.mark.parametrize("none", [(), np.zeros((0, 3)), np.zeros((2, 0, 3))])
+def test_no_direction_is_none_for_all(none: Any) -> None:
+    surface, volume = _things()[0], _things()[2]
+    rows = ROWS.reshape(-1, 3)
+    for cast in (
+        surface.raycast,
+        surface.raycast_all,
+        surface.occluded,
+        lambda *rays: gk.volume.raycast(volume, *rays),
+    ):
+        with pytest.raises(InputError, match=r"directions: .*0.* rows for .*10.* origins; give one for each"):
+            cast(rows, none)
+    with pytest.raises(InputError, match=r"directions: .*0.* rows for .*10.* origins; give one for each"):
+        gk.volume.integrate(volume, rows, none, extinction=1.0)
+
+
 def test_devices_of_other_libraries() -> None:
     torch = pytest.importorskip("torch")
     ball = gk.mesh.sphere(segments=8)
