@@ -198,7 +198,7 @@ def test_a_device_without_room_is_named(monkeypatch):
     from geokit.volume.nanovdb import upload
 
     class FullDevice:
-        alias, is_cuda, is_cpu, free_memory = "cuda:0", True, False, 1000
+        alias, is_cuda, is_cpu, free_memory, is_mempool_enabled = "cuda:0", True, False, 1000, False
 
     monkeypatch.setattr(upload, "resolve_device", lambda device: FullDevice())
     with pytest.raises(DeviceMemoryError, match="1000 free bytes"):
