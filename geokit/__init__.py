@@ -2,6 +2,8 @@
 
 import lazy_loader
 
+from geokit.core.interop.notebook import Drawing, drawn_by
+
 __version__ = "0.1.0"
 
 # __init__.pyi lists the public names; each is imported on first use.
@@ -17,15 +19,11 @@ def __getattr__(name: str) -> object:
     return _found(name)
 
 
-def _picture(thing: object) -> str:
-    """HTML for notebooks; see geokit.core.interop.notebook."""
+def _drawing() -> Drawing:
     from geokit.render._notebook import notebook_html
-
-    return notebook_html(thing)
-
-
-def _show(thing: object, path: object) -> object:
-    """An interactive page of a thing; see geokit.core.interop.notebook."""
     from geokit.render._view import show
 
-    return show(thing, path)  # type: ignore[arg-type]
+    return Drawing(notebook_html, show)
+
+
+drawn_by(_drawing)

@@ -134,6 +134,19 @@ def test_imports_only_from_rooms_before():
             )
 
 
+def test_geokit_itself_is_asked_for_its_version_and_folder_only():
+    for path in FILES:
+        name = name_of(path)
+        if name and not name.startswith("cli"):
+            used = {
+                node
+                for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+                if isinstance(node, ast.Attribute)
+            }
+            whole = {ast.unparse(node) for node in used if ast.unparse(node.value) == "geokit"}
+            assert whole <= {"geokit.__version__", "geokit.__path__"}, f"geokit/{name}: reaches all rooms by {whole}"
+
+
 def test_meshes_and_volumes_meet_only_where_layers_says():
     for path in FILES:
         name = name_of(path)

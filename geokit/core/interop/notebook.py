@@ -1,36 +1,45 @@
-"""What a notebook or a browser shows of a mesh, a cloud or a volume."""
+"""What a notebook or a browser shows of a mesh, a cloud or a volume.
+
+The room that draws comes after all others: geokit itself, which knows every room, says here what draws.
+"""
 
 from __future__ import annotations
 
 import os
-import sys
-from typing import TYPE_CHECKING, Any
-
-from geokit.core.memory.needs import needs
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
     from geokit.render._view import Page
 
-__all__ = ["repr_html", "show"]
+__all__ = ["Drawing", "drawn_by", "repr_html", "show"]
+
+
+class Drawing(NamedTuple):
+    """What draws a thing.
+
+    Attributes:
+        html: HTML of its line and a small picture.
+        show: Makes its page, written to a path or opened.
+    """
+
+    html: Callable[[Any], str]
+    show: Callable[[Any, str | os.PathLike[str] | None], Page]
+
+
+_drawing: list[Callable[[], Drawing]] = []
+
+
+def drawn_by(find: Callable[[], Drawing]) -> None:
+    """From now on what ``find`` returns draws; it is asked when something is first drawn, and imports what it needs."""
+    _drawing[:] = [find]
 
 
 def repr_html(thing: Any) -> str:
     """Its one-line description, and a small picture if one can be drawn here; for ``_repr_html_``."""
-    # geokit itself knows the room that draws, which comes after all others.
-    import geokit
-
-    return geokit._picture(thing)  # type: ignore[attr-defined]
+    return _drawing[0]().html(thing)
 
 
-def _bytes(thing: Any, *_: Any, **__: Any) -> int:
-    """Of the page, and of the color maps' library."""
-    import geokit
-
-    library = 0 if "matplotlib" in sys.modules else 30 << 20
-    return library + int(geokit.render.view._geokit_bytes(thing))  # type: ignore[attr-defined]
-
-
-@needs(_bytes, fatal=True)
 def show(self: Any, path: str | os.PathLike[str] | None = None) -> Page:
     """Show it in an interactive page; see :func:`geokit.render.view`.
 
@@ -41,6 +50,4 @@ def show(self: Any, path: str | os.PathLike[str] | None = None) -> Page:
     Returns:
         Page with the text and the path.
     """
-    import geokit
-
-    return geokit._show(self, path)  # type: ignore[attr-defined]
+    return _drawing[0]().show(self, path)

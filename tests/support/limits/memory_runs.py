@@ -28,6 +28,7 @@ import numpy as np
 import geokit as gk
 from geokit.core.memory import host_pool
 from geokit.errors import DeviceMemoryError, GeokitError
+from geokit.render import _view
 from tests.support.forked import forked
 from tests.support.limits.large_calls import LargeScene, large_calls
 from tests.support.public_calls import MORE, Call, Scene, public_calls
@@ -116,6 +117,8 @@ def estimate_of(call: Call) -> int:
     if isinstance(function, type):
         found = getattr(function.__init__, "_geokit_bytes", None)
         return found(None, **given) if found else 0
+    if call.name.endswith(".show"):  # of the room that draws
+        return int(_view.show._geokit_bytes(function.__self__))
     if call.name.startswith("volume.SparseVolume."):  # these forward to functions
         volume = function.__self__
         function, given["volume"] = getattr(gk.volume, function.__name__, function), volume
