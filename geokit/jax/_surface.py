@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from geokit import mesh
 from geokit.core.gradients.rules import held_by, hold
 from geokit.core.gradients.with_jax import Traced
+from geokit.core.interop.types import Device
 from geokit.core.require import described, read_array
 from geokit.errors import InputError
 
@@ -51,7 +52,7 @@ class Surface(Traced):
     signed_distance = mesh.Surface.signed_distance
     raycast = mesh.Surface.raycast
 
-    def __init__(self, vertices: Any, faces: Any, *, device: Any = None) -> None:
+    def __init__(self, vertices: Any, faces: Any, *, device: Device = None) -> None:
         vertices = read_jax(vertices, "vertices")
         if vertices.ndim != 2 or vertices.shape[1] != 3:
             raise InputError(f"vertices: shape {tuple(vertices.shape)} is not (V, 3); use vmap for batches")

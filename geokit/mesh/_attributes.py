@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from geokit.core.download import download
 from geokit.core.gradients.differentiable import of_constants
-from geokit.core.interop.objects import MeshLike
+from geokit.core.interop.types import Device, MeshLike
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_mapping, require_one_world
 from geokit.mesh._device_mesh import vertices_near
@@ -26,7 +26,7 @@ __all__ = ["sample_attributes"]
 @of_constants
 @needs(lambda mesh, volumes, **_: 40 * mesh.vertex_count * len(volumes))
 def sample_attributes(
-    mesh: MeshLike, volumes: Mapping[str, SparseVolume], *, order: int | None = 1, device: Any = None
+    mesh: MeshLike, volumes: Mapping[str, SparseVolume], *, order: int | None = 1, device: Device = None
 ) -> dict[str, NDArray[Any]]:
     """Sample volumes at the vertices of a mesh, such as the temperature on an isosurface of the density.
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit._warn import warn
-from geokit.core.interop.objects import MeshLike
+from geokit.core.interop.types import MeshLike
 from geokit.core.memory.needs import needs
 from geokit.errors import FileFormatError, MissingDependencyError
 from geokit.formats.attributes.held import what_is_held

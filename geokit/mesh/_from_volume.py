@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from geokit._warn import warn
 from geokit.core.blocks.chunked_queries import Progress
+from geokit.core.interop.types import Device
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_callable, require_choice, require_number
 from geokit.errors import InputError, UnsupportedGridError
@@ -45,7 +46,7 @@ def from_volume(
     adaptivity: float = 0.0,
     tolerance: float | None = None,
     method: str = "auto",
-    device: Any = None,
+    device: Device = None,
     progress: Progress | None = None,
 ) -> TriangleMesh:
     """Extract the isosurface of a sparse volume as a triangle mesh.
@@ -164,7 +165,7 @@ def from_volume_with_deviation(
     tolerance: float,
     isovalue: float = 0.0,
     method: str = "auto",
-    device: Any = None,
+    device: Device = None,
     progress: Progress | None = None,
 ) -> Simplified:
     """Extract an isosurface within a tolerance, and return how far it deviates from the mesh with every face.

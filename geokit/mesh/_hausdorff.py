@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core.gradients.differentiable import of_constants
-from geokit.core.interop.objects import MeshLike
+from geokit.core.interop.types import Device, MeshLike
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_count, require_one_world
 from geokit.core.snapshot import snapshot
@@ -100,7 +100,7 @@ def hausdorff(
     tolerance: float = 1e-4,
     samples: int = SAMPLES,
     seed: int = 0,
-    device: Any = None,
+    device: Device = None,
 ) -> HausdorffDistance:
     """Hausdorff distance between two surfaces within proven bounds, with mean and rms for both directions.
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core.equal_rows import merge_equal_points, repeated_triples
-from geokit.core.interop.objects import MeshLike
+from geokit.core.interop.types import MeshLike
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_flag
 from geokit.core.user_arrays import require_finite_scalar

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from geokit.core import launcher
 from geokit.core.blocks.chunked_queries import Progress
-from geokit.core.interop.objects import MeshLike
+from geokit.core.interop.types import Device, MeshLike
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_callable, require_count
 from geokit.core.user_arrays import require_finite_scalar
@@ -69,7 +69,7 @@ def simplify(
     *,
     tolerance: float | None = None,
     face_count: int | None = None,
-    device: Any = None,
+    device: Device = None,
     progress: Progress | None = None,
 ) -> Simplified:
     """Simplify a mesh: as few faces as found within a tolerance, or at most a given number of faces.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core.interop.objects import MeshLike
+from geokit.core.interop.types import MeshLike
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_choice, require_count
 from geokit.core.user_arrays import require_finite_scalar

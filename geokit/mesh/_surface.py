@@ -12,7 +12,7 @@ from geokit.core.blocks.several_devices import OnDevices, replicas, shares, show
 from geokit.core.frame import Frame
 from geokit.core.gradients.rules import hold, split
 from geokit.core.interop.notebook import repr_html
-from geokit.core.interop.objects import MeshLike
+from geokit.core.interop.types import Devices, MeshLike
 from geokit.core.memory import available_memory
 from geokit.core.memory.needs import needs
 from geokit.core.memory.unchecked import allocating
@@ -84,12 +84,12 @@ class Surface(SignQueries, RayQueries, DistanceQueries):
     # Holds recordings of small queries.
     _cache = CacheAttribute()
 
-    def __new__(cls, *_: Any, device: Any = None, **__: Any) -> Surface:
+    def __new__(cls, *_: Any, device: Devices = None, **__: Any) -> Surface:
         shared = cls is Surface and launcher.is_several(device)
         return object.__new__(_SurfaceOnDevices if shared else cls)
 
     @needs(lambda self, mesh, **_: BYTES_PER_FACE * mesh.face_count)
-    def __init__(self, mesh: MeshLike, *, device: Any = None) -> None:
+    def __init__(self, mesh: MeshLike, *, device: Devices = None) -> None:
         # Of a pair (vertices, faces) whose vertices are a tensor, or an array of warp, with gradients.
         given: Any = mesh
         tracked = None
@@ -350,7 +350,7 @@ def _require_numbered(face_count: int, device: "wp.Device") -> None:
 class _SurfaceOnDevices(OnDevices, Surface):
     """A surface with a replica on each of several devices."""
 
-    def __init__(self, mesh: MeshLike, *, device: Any = None) -> None:
+    def __init__(self, mesh: MeshLike, *, device: Devices = None) -> None:
         self._parts = replicas(lambda one: Surface(mesh, device=one), device)
 
     def update(self, vertices: ArrayLike) -> None:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from geokit.core import launcher, user_arrays
 from geokit.core.gradients.differentiable import differentiable
 from geokit.core.gradients.rules import hold, is_tracked, split
+from geokit.core.interop.types import Device, Rows
 from geokit.core.memory.host_array import HostArray
 from geokit.core.memory.needs import needs, rows
 from geokit.core.memory.pinned import host_flags
@@ -89,7 +90,7 @@ class Surfaces:
     _cache = CacheAttribute()
 
     @needs(_bytes)
-    def __init__(self, meshes: Any, *, device: Any = None) -> None:
+    def __init__(self, meshes: Any, *, device: Device = None) -> None:
         self._device = launcher.resolve_device(device)
         self._given: list[TriangleMesh] | None
         if isinstance(meshes, tuple) and len(meshes) == 3 and not isinstance(meshes[0], TriangleMesh):
@@ -192,7 +193,7 @@ class Surfaces:
     @needs(lambda self, points, *_, transform=None, **__: (80 + _moving(transform)) * rows(points), late=True)
     def closest_point(
         self,
-        points: Any,
+        points: Rows,
         offsets: ArrayLike | None = None,
         *,
         max_distance: float = math.inf,
@@ -233,7 +234,7 @@ class Surfaces:
     @needs(_sign_bytes, late=True)
     def signed_distance(
         self,
-        points: Any,
+        points: Rows,
         offsets: ArrayLike | None = None,
         *,
         sign: str = "auto",
@@ -272,7 +273,7 @@ class Surfaces:
     @needs(_sign_bytes, late=True)
     def contains(
         self,
-        points: Any,
+        points: Rows,
         offsets: ArrayLike | None = None,
         *,
         sign: str = "auto",
@@ -312,8 +313,8 @@ class Surfaces:
     @needs(lambda self, origins, *_, transform=None, **__: (52 + _moving(transform)) * rows(origins), late=True)
     def raycast(
         self,
-        origins: Any,
-        directions: Any,
+        origins: Rows,
+        directions: Rows,
         offsets: ArrayLike | None = None,
         *,
         t_min: float = 0.0,

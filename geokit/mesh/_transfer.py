@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core.interop.objects import MeshLike
+from geokit.core.interop.types import Device, MeshLike
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_one_world
 from geokit.mesh._model import TriangleMesh
@@ -42,7 +42,7 @@ def _bytes(mesh: TriangleMesh, source: TriangleMesh | Surface, **_: Any) -> floa
 
 @needs(_bytes)
 def transfer_attributes(
-    mesh: MeshLike, source: MeshLike | Surface, *, names: Sequence[str] | None = None, device: Any = None
+    mesh: MeshLike, source: MeshLike | Surface, *, names: Sequence[str] | None = None, device: Device = None
 ) -> TriangleMesh:
     """Give a mesh the attributes of another one, by closest points.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geokit.core.interop.objects import MeshLike
+from geokit.core.interop.types import MeshLike
 from geokit.core.memory.needs import needs
 from geokit.core.memory.row_products import row_product
 from geokit.core.require import require_affine

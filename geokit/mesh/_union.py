@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from geokit.core.interop.objects import MeshLike
+from geokit.core.interop.types import MeshLike
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_one_world
 from geokit.errors import InputError

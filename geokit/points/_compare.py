@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from geokit.core import launcher
 from geokit.core.gradients.differentiable import differentiable, library_of
 from geokit.core.gradients.rules import is_on_tape, is_tracked
+from geokit.core.interop.types import Device, Rows
 from geokit.core.memory.needs import needs, rows
 from geokit.core.require import described
 from geokit.core.user_arrays import read_vectors
@@ -85,7 +86,7 @@ class HausdorffDistance(NamedTuple):
 
 
 @needs(lambda a, b, **_: 48 * (rows(a) + rows(b)))
-def chamfer(a: Any, b: Any, *, groups: Any = None, device: Any = None) -> ChamferDistance:
+def chamfer(a: Rows, b: Rows, *, groups: Rows | None = None, device: Device = None) -> ChamferDistance:
     """Chamfer distance between two clouds: the mean distance of a point from the other cloud.
 
     Both common definitions are returned: ``distance`` is the mean of the two directed means of the distances,
@@ -126,7 +127,7 @@ def chamfer(a: Any, b: Any, *, groups: Any = None, device: Any = None) -> Chamfe
 
 
 @needs(lambda a, b, **_: 48 * (rows(a) + rows(b)))
-def hausdorff(a: Any, b: Any, *, device: Any = None) -> HausdorffDistance:
+def hausdorff(a: Rows, b: Rows, *, device: Device = None) -> HausdorffDistance:
     """Hausdorff distance between two clouds: the largest distance of a point of either cloud from the other cloud.
 
     Exact for the float64 coordinates, rounded term by term; the same on every device and for any number of threads.

@@ -9,6 +9,7 @@ import numpy as np
 
 from geokit.core import launcher
 from geokit.core.gradients.differentiable import differentiable
+from geokit.core.interop.types import Device, Rows
 from geokit.core.memory.needs import needs, rows
 from geokit.core.require import require_choice
 from geokit.core.user_arrays import read_numbers, require_finite_scalar
@@ -29,13 +30,13 @@ KERNELS = {
 @differentiable("geokit.points.clouds.gradients:DENSITY", "points", "queries", single=False)
 @needs(lambda points, **_: 48 * rows(points))
 def density(
-    points: Any,
+    points: Rows,
     *,
     radius: float,
     kernel: str = "count",
     mass: Any = 1.0,
-    queries: Any = None,
-    device: Any = None,
+    queries: Rows | None = None,
+    device: Device = None,
 ) -> Any:
     """Mass density of the points at the queries.
 

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from geokit.core import launcher
+from geokit.core.interop.types import Device, Rows
 from geokit.core.memory.needs import needs, rows
 from geokit.core.require import require_count
 from geokit.core.user_arrays import read_vectors, require_finite_scalar
@@ -40,7 +41,7 @@ class Cover(NamedTuple):
 
 @needs(lambda points, **_: 80 * rows(points))
 def downsample(
-    points: Any,
+    points: Rows,
     *,
     voxel_size: float | None = None,
     count: int | None = None,
@@ -48,7 +49,7 @@ def downsample(
     tolerance: float | None = None,
     start: int = 0,
     seed: int = 0,
-    device: Any = None,
+    device: Device = None,
 ) -> Downsampled:
     """Reduce a cloud to fewer points by voxels, by number, by least distance or to a tolerance.
 
@@ -134,7 +135,7 @@ def downsample(
 
 
 @needs(lambda points, **_: 90 * rows(points))
-def cover(points: Any, *, tolerance: float, seed: int = 0, device: Any = None) -> Cover:
+def cover(points: Rows, *, tolerance: float, seed: int = 0, device: Device = None) -> Cover:
     """Downsample to a tolerance and return the distances reached.
 
     The subset is that of :func:`downsample` with ``tolerance``. ``deviation`` is at most the tolerance and is exact for

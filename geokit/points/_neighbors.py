@@ -15,6 +15,7 @@ from geokit.core.blocks.several_devices import OnDevices, replicas, shares, show
 from geokit.core.forks import Lock
 from geokit.core.gradients.differentiable import differentiable, undifferentiable
 from geokit.core.gradients.rules import hold, split
+from geokit.core.interop.types import Devices, Rows
 from geokit.core.launches import replay
 from geokit.core.launches.replay import replayed
 from geokit.core.memory import available_memory
@@ -136,10 +137,10 @@ def _mean_count(grid: Any, queries: Any, radius: Any, groups: Any) -> float:
 
 def _list_bytes(
     self: Any,
-    queries: Any = None,
+    queries: Rows | None = None,
     *,
-    radius: Any = None,
-    groups: Any = None,
+    radius: float | Rows | None = None,
+    groups: Rows | None = None,
     neighbor_bytes: int = search.BYTES_PER_NEIGHBOR + 1,
     **_: Any,
 ) -> float:
@@ -236,20 +237,20 @@ class NeighborGrid:
     # Holds recordings of small queries.
     _cache = CacheAttribute()
 
-    def __new__(cls, *_: Any, device: Any = None, **__: Any) -> NeighborGrid:
+    def __new__(cls, *_: Any, device: Devices = None, **__: Any) -> NeighborGrid:
         shared = cls is NeighborGrid and launcher.is_several(device)
         return object.__new__(_GridOnDevices if shared else cls)
 
     @needs(lambda self, points, *_, **__: 48 * rows(points))
     def __init__(
         self,
-        points: Any,
+        points: Rows,
         radius: float | None = None,
         *,
-        groups: Any = None,
+        groups: Rows | None = None,
         periodic: Any = None,
         skin: float | None = None,
-        device: Any = None,
+        device: Devices = None,
     ) -> None:
         wanted = None if radius is None else require_radius(radius)
         self._device = launcher.resolve_device(device)
@@ -309,7 +310,7 @@ class NeighborGrid:
         self._hash_grid: Any = None
 
     @needs(lambda self, points, **_: 48 * rows(points))
-    def update(self, points: Any) -> None:
+    def update(self, points: Rows) -> None:
         """Move the points, all of them, in place.
 
         Afterwards all answers equal those of a new NeighborGrid of these points with the grid's radius, cell, groups
@@ -403,7 +404,14 @@ class NeighborGrid:
     @replayed()
     @needs(lambda self, queries=None, **_: (40 + self._row_bytes()) * self._asked_rows(queries), late=True)
     @on_snapshot
-    def count(self, queries: Any = None, *, radius: Any = None, exclude_self: bool = False, groups: Any = None) -> Any:
+    def count(
+        self,
+        queries: Rows | None = None,
+        *,
+        radius: float | Rows | None = None,
+        exclude_self: bool = False,
+        groups: Rows | None = None,
+    ) -> Any:
         """Count the points within the radius of each query.
 
         Args:
@@ -434,12 +442,12 @@ class NeighborGrid:
     @on_snapshot
     def radius_search(
         self,
-        queries: Any = None,
+        queries: Rows | None = None,
         *,
-        radius: Any = None,
+        radius: float | Rows | None = None,
         exclude_self: bool = False,
         order: str = "index",
-        groups: Any = None,
+        groups: Rows | None = None,
     ) -> Neighbors:
         """Find the points within the radius of each query, with their distances.
 
@@ -481,7 +489,12 @@ class NeighborGrid:
     @needs(lambda self, queries=None, **given: 1.1 * _list_bytes(self, queries, **given), late=True)
     @on_snapshot
     def neighbor_list(
-        self, queries: Any = None, *, radius: Any = None, exclude_self: bool = False, order: str = "index"
+        self,
+        queries: Rows | None = None,
+        *,
+        radius: float | Rows | None = None,
+        exclude_self: bool = False,
+        order: str = "index",
     ) -> NeighborList:
         """Find the images of points within the radius of each query in a periodic cell, with their shifts.
 
@@ -567,13 +580,13 @@ class NeighborGrid:
     @on_snapshot
     def radius_search_blocks(
         self,
-        queries: Any = None,
+        queries: Rows | None = None,
         *,
-        radius: Any = None,
+        radius: float | Rows | None = None,
         exclude_self: bool = False,
         order: str = "index",
         memory: int | None = None,
-        groups: Any = None,
+        groups: Rows | None = None,
     ) -> Iterator[NeighborBlock]:
         """Find the points within the radius of each query, one block of queries at a time.
 
@@ -662,7 +675,9 @@ class NeighborGrid:
     @replayed()
     @needs(lambda self, queries=None, k=1, **_: (60 + 12 * k) * self._asked_rows(queries), late=True)
     @on_snapshot
-    def knn(self, queries: Any = None, k: int = 1, *, exclude_self: bool = False, groups: Any = None) -> KNearest:
+    def knn(
+        self, queries: Rows | None = None, k: int = 1, *, exclude_self: bool = False, groups: Rows | None = None
+    ) -> KNearest:
         """Find the k nearest points of each query at any distance.
 
         Exact: the k smallest values of ``(dx * dx + dy * dy) + dz * dz`` in float64, each operation rounded once; ties
@@ -697,7 +712,13 @@ class NeighborGrid:
     @needs(lambda self, queries=None, k=1, **_: (60 + 12 * k) * self._asked_rows(queries), late=True)
     @on_snapshot
     def hybrid(
-        self, queries: Any = None, k: int = 1, *, radius: Any = None, exclude_self: bool = False, groups: Any = None
+        self,
+        queries: Rows | None = None,
+        k: int = 1,
+        *,
+        radius: float | Rows | None = None,
+        exclude_self: bool = False,
+        groups: Rows | None = None,
     ) -> KNearest:
         """Find the k nearest points within the radius of each query.
 
@@ -772,7 +793,7 @@ class NeighborGrid:
             return self._made_images
 
     def _listed(
-        self, queries: Any, radius: Any, exclude_self: bool, groups: Any = None
+        self, queries: Any, radius: Any, exclude_self: bool, groups: Rows | None = None
     ) -> tuple[VerletLists, float] | None:
         """The lists of a grid with a skin, and the radius, if they answer a search."""
         if self._skin is None or queries is not None:
@@ -1026,10 +1047,10 @@ def _require_near(farthest: float, cell: NDArray[np.float64], name: str) -> None
 class _GridOnDevices(OnDevices, NeighborGrid):
     """A grid with a replica on each of several devices."""
 
-    def __init__(self, points: Any, radius: float | None = None, *, device: Any = None, **options: Any) -> None:
+    def __init__(self, points: Any, radius: float | None = None, *, device: Devices = None, **options: Any) -> None:
         self._parts = replicas(lambda one: NeighborGrid(points, radius, device=one, **options), device)
 
-    def update(self, points: Any) -> None:
+    def update(self, points: Rows) -> None:
         self._update(points)
 
     def __reduce__(self) -> Any:
@@ -1047,7 +1068,7 @@ def _restored(
     points: np.ndarray,
     radius: float,
     device: str | list[str],
-    groups: Any = None,
+    groups: Rows | None = None,
     periodic: Any = None,
     skin: float | None = None,
 ) -> NeighborGrid:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from geokit.core import launcher
+from geokit.core.interop.types import Device, Rows
 from geokit.core.memory.needs import needs, rows
 from geokit.core.require import require_choice, require_count, require_table
 from geokit.core.user_arrays import read_vectors, require_finite_scalar
@@ -47,13 +48,13 @@ def _bytes(points: Any, *, k: int = 16, orientation: str = "propagation", **_: A
 
 @needs(_bytes)
 def normals(
-    points: Any,
+    points: Rows,
     *,
     k: int = 16,
     radius: float | None = None,
     orientation: str = "propagation",
     viewpoint: Any = None,
-    device: Any = None,
+    device: Device = None,
 ) -> PointNormals:
     """Estimate normals of points from planes fitted to their neighborhoods.
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geokit.core import launcher
+from geokit.core.interop.types import Device, Rows
 from geokit.core.memory.needs import needs, rows
 from geokit.core.require import require_choice, require_count
 from geokit.core.user_arrays import LARGEST_MEASURED, read_vectors, require_finite_scalar
@@ -25,14 +26,14 @@ METHODS = ("statistical", "radius")
 
 @needs(lambda points, **_: 210 * rows(points))
 def outliers(
-    points: Any,
+    points: Rows,
     *,
     method: str = "statistical",
     k: int = 16,
     ratio: float = 2.0,
     radius: float | None = None,
     minimum_count: int = 2,
-    device: Any = None,
+    device: Device = None,
 ) -> Any:
     """Mark points that are isolated from the others.
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from geokit.core import launcher
 from geokit.core.gradients.differentiable import of_constants
+from geokit.core.interop.types import Device
 from geokit.core.memory.needs import needs, rows
 from geokit.core.require import require_choice, require_count, require_table
 from geokit.core.user_arrays import LARGEST_MEASURED, read_vectors, require_finite_scalar
@@ -106,7 +107,7 @@ def register(
     max_distance: float = math.inf,
     max_iterations: int = 50,
     tolerance: float = 1e-9,
-    device: Any = None,
+    device: Device = None,
 ) -> Registration:
     """Find the rigid motion that brings a cloud to a target, by iterative closest points.
 

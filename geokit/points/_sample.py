@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from geokit.core.interop.objects import MeshLike
+from geokit.core.interop.types import MeshLike
 from geokit.core.memory.needs import needs
 from geokit.mesh._data import has_meaning
 from geokit.mesh._model import TriangleMesh

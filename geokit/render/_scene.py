@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from geokit.core.files import atomic_path
 from geokit.core.gradients.differentiable import of_constants
-from geokit.core.interop.objects import MeshLike
+from geokit.core.interop.types import MeshLike, Rows
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_choice, require_flag, require_instance, require_one_world
 from geokit.core.user_arrays import require_finite_scalar
@@ -114,7 +114,7 @@ def figure(
     *,
     mesh: MeshLike | None = None,
     volume: "SparseVolume | None" = None,
-    points: Any = None,
+    points: Rows | None = None,
     color: Any = None,
     point_color: Any = None,
     size: tuple[int, int] = (800, 600),

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geokit.core.gradients.differentiable import of_constants
+from geokit.core.interop.types import Device
 from geokit.core.memory.needs import needs
 from geokit.core.require import described, read_array, require_choice
 from geokit.core.user_arrays import require_finite_scalar
@@ -56,7 +57,7 @@ def slice_figure(
     label: str = "",
     title: str = "",
     size: tuple[int, int] = (800, 600),
-    device: Any = None,
+    device: Device = None,
 ) -> Path:
     """Draw the values of ``volume`` on a plane perpendicular to a world axis.
 

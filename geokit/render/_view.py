@@ -14,6 +14,7 @@ from typing import Any
 
 from geokit.core import launcher
 from geokit.core.files import atomic_path, require_extension
+from geokit.core.interop.types import Device
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_choice, require_count, require_items, require_one_world, require_path
 from geokit.errors import InputError
@@ -71,7 +72,7 @@ def view(
     colormap: str = SEQUENTIAL,
     up: str = "y",
     max_voxels: int = MAX_VOXELS,
-    device: Any = None,
+    device: Device = None,
 ) -> Page:
     """Make an interactive page of meshes, volumes and clouds: one HTML file, which needs no network and no server.
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from geokit.core import launcher
 from geokit.core.forks import renew_after_fork
+from geokit.core.interop.types import Device
 from geokit.core.launches import warp_private
 from geokit.core.require import require_callable, require_count, require_instance, require_items
 from geokit.core.running.thread_placement import Pool
@@ -42,7 +43,7 @@ class Team:
         threads: Number of CPU threads that run a kernel; 1 on a GPU, whose own threads are not counted here.
     """
 
-    def __init__(self, threads: int | None = None, *, device: Any = None) -> None:
+    def __init__(self, threads: int | None = None, *, device: Device = None) -> None:
         """Create a team; on a CPU its threads start with the first launch.
 
         Args:

@@ -10,6 +10,7 @@ from geokit import mesh
 from geokit.core.blocks.several_devices import shows_arguments
 from geokit.core.gradients.rules import hold, split
 from geokit.core.gradients.with_torch import LIBRARY
+from geokit.core.interop.types import Device
 from geokit.core.require import require_instance, require_memory
 from geokit.errors import InputError
 
@@ -40,7 +41,7 @@ class Surface(mesh.Surface):
     Held by: tests/torch/test_surface.py
     """
 
-    def __init__(self, vertices: Any, faces: Any, *, device: Any = None) -> None:
+    def __init__(self, vertices: Any, faces: Any, *, device: Device = None) -> None:
         _require_tensor(vertices, "take geokit.mesh.Surface for other arrays")
         plain, tracked = split(vertices)
         super().__init__(_mesh(plain, faces), device=str(plain.device) if device is None else device)

@@ -6,6 +6,7 @@ from typing import Any
 
 from geokit.core import launcher
 from geokit.core.blocks.several_devices import over_devices
+from geokit.core.interop.types import Devices, Rows
 from geokit.core.launches.replay import replayed
 from geokit.core.memory.needs import needs, rows
 from geokit.core.user_arrays import read_vectors
@@ -20,7 +21,7 @@ __all__ = ["active_at"]
 @over_devices(least=None)
 @replayed()
 @needs(lambda volume, points, **_: 5 * rows(points), late=True)
-def active_at(volume: SparseVolume, points: Any, *, space: str = "world", device: Any = None) -> Any:
+def active_at(volume: SparseVolume, points: Rows, *, space: str = "world", device: Devices = None) -> Any:
     """Return whether the voxel nearest to each point is active.
 
     Halves round up in index space, as in sampling of order 0. A tile is active or inactive as a whole. Outside all

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from geokit.core import launcher, user_arrays
 from geokit.core.gradients.differentiable import differentiable, of_constants
-from geokit.core.interop.objects import MeshLike
+from geokit.core.interop.types import Device, MeshLike, Rows
 from geokit.core.launches.replay import replayed
 from geokit.core.memory.needs import file_size, needs, rows
 from geokit.core.memory.pinned import host_flags
@@ -146,7 +146,7 @@ class AdaptiveSDF:
     @differentiable("geokit.volume.sampling.gradients:ADAPTIVE", "points")
     @replayed()
     @needs(lambda self, points, **_: 12 * rows(points), late=True)
-    def sample(self, points: Any, *, device: Any = None) -> Any:
+    def sample(self, points: Rows, *, device: Device = None) -> Any:
         """Signed distance at each point, negative inside.
 
         The result is within the tolerance of the exact distance up to ``within`` from the surface. Farther out it is
@@ -166,7 +166,7 @@ class AdaptiveSDF:
 
     @replayed()
     @needs(lambda self, points, **_: 28 * rows(points), late=True)
-    def gradient(self, points: Any, *, device: Any = None) -> Any:
+    def gradient(self, points: Rows, *, device: Device = None) -> Any:
         """Gradient of the interpolant of :meth:`sample` at each point; next to the surface it is close to the normal.
 
         It is exact for the interpolant. It jumps between cells, at order 3 only between levels. Outside the box of
@@ -253,7 +253,7 @@ def adaptive_from_mesh(
     sign: str = "auto",
     interior: str = "remove",
     name: str | None = None,
-    device: Any = None,
+    device: Device = None,
 ) -> AdaptiveSDF:
     """Signed distance field of a mesh, negative inside, with voxels only as small as the tolerance requires.
 

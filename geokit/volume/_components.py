@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.interop.types import Device
 from geokit.core.memory.needs import needs
 from geokit.volume._model import SparseVolume
 from geokit.volume.components.labels import active_rows, inside_rows, label_components
@@ -39,7 +40,7 @@ class ConnectedComponents(NamedTuple):
 
 
 @needs(lambda volume, *_, **__: 5500 * leaf_count(volume))
-def connected_components(volume: SparseVolume, *, device: Any = None) -> ConnectedComponents:
+def connected_components(volume: SparseVolume, *, device: Device = None) -> ConnectedComponents:
     """Number the connected components of a volume, largest first.
 
     Voxels are connected over faces. Level sets of real values are labeled inside, where values are negative, and all
@@ -67,7 +68,7 @@ def connected_components(volume: SparseVolume, *, device: Any = None) -> Connect
 
 
 @needs(lambda volume, *_, **__: 4200 * leaf_count(volume))
-def segment(volume: SparseVolume, *, device: Any = None) -> list[SparseVolume]:
+def segment(volume: SparseVolume, *, device: Device = None) -> list[SparseVolume]:
     """Split a volume into its connected components, largest first.
 
     Voxels are connected over faces. Level sets of real values are split by their inside: a hollow body is one

@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from geokit._packages import require_package
+from geokit.core.interop.types import Device
 from geokit.core.memory.needs import needs
 from geokit.errors import InputError, MissingDependencyError
 from geokit.volume._dense import native_of, to_dense
@@ -30,7 +31,7 @@ def _image_bytes(volume: SparseVolume, bounds: Any = None, **_: Any) -> float:
 
 
 @needs(_image_bytes, fatal=True)
-def to_pyvista(volume: SparseVolume, *, bounds: Any = None, device: Any = None) -> Any:
+def to_pyvista(volume: SparseVolume, *, bounds: ArrayLike | None = None, device: Device = None) -> Any:
     """A ``pyvista.ImageData`` of the voxels of a box, as its active point data; :func:`from_dense` takes it back.
 
     Voxels become points of the image, and ``offset`` is the index of the first one, so that indices are kept.
@@ -76,7 +77,7 @@ def to_pyvista(volume: SparseVolume, *, bounds: Any = None, device: Any = None) 
 
 
 @needs()
-def to_xarray(volume: SparseVolume, *, bounds: Any = None, device: Any = None) -> Any:
+def to_xarray(volume: SparseVolume, *, bounds: ArrayLike | None = None, device: Device = None) -> Any:
     """An ``xarray.DataArray`` of the voxels of a box; :func:`from_dense` takes it back.
 
     The coordinates along x, y and z are those of the voxel centers [world]. Where the voxels are not aligned with the

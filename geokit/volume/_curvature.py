@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from geokit.core import launcher
 from geokit.core.blocks.several_devices import over_devices
 from geokit.core.gradients.differentiable import undifferentiable
+from geokit.core.interop.types import Devices, Rows
 from geokit.core.launches.replay import replayed
 from geokit.core.memory.needs import needs, rows
 from geokit.core.user_arrays import Batch, read_vectors
@@ -40,7 +41,7 @@ class Curvatures(NamedTuple):
 @undifferentiable
 @replayed()
 @needs(lambda volume, points, **_: 96 * rows(points), late=True)
-def hessian(volume: SparseVolume, points: Any, *, order: int = 3, space: str = "world", device: Any = None) -> Any:
+def hessian(volume: SparseVolume, points: Rows, *, order: int = 3, space: str = "world", device: Devices = None) -> Any:
     """Hessian (matrix of second derivatives) of a volume at each point.
 
     The result is exact for the interpolant of :func:`geokit.volume.sample`, in float64. The second derivatives of both
@@ -81,7 +82,7 @@ def hessian(volume: SparseVolume, points: Any, *, order: int = 3, space: str = "
 @undifferentiable
 @replayed()
 @needs(lambda volume, points, **_: 128 * rows(points), late=True)
-def curvature(volume: SparseVolume, points: Any, *, order: int = 3, device: Any = None) -> Curvatures:
+def curvature(volume: SparseVolume, points: Rows, *, order: int = 3, device: Devices = None) -> Curvatures:
     """Curvatures of the level set through each point.
 
     They are computed from the gradient and the Hessian of the interpolant, so the field need not be a distance. The
@@ -135,7 +136,7 @@ def curvature(volume: SparseVolume, points: Any, *, order: int = 3, device: Any 
 
 
 def _derivatives(
-    volume: SparseVolume, points: Any, order: int, space: str, device: Any
+    volume: SparseVolume, points: Rows, order: int, space: str, device: Any
 ) -> tuple[Batch, "wp.array", "wp.array"]:
     """The rows of the points, with the gradient (vec3d) and the Hessian (mat33d) at each, in the given space."""
     import warp as wp

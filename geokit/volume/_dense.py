@@ -6,10 +6,11 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from geokit.core import launcher, user_arrays
 from geokit.core.interop.objects import image_of
+from geokit.core.interop.types import Device
 from geokit.core.memory import available_memory
 from geokit.core.memory.needs import needs
 from geokit.core.require import described, read_array, require_text, require_unrecorded
@@ -77,7 +78,7 @@ def _dense_bytes(values: Any, *, grid_type: str | None = None, **_: Any) -> floa
 def from_dense(
     values: Any,
     *,
-    transform: Any = None,
+    transform: ArrayLike | None = None,
     voxel_size: Any = None,
     origin: Any = None,
     background: Any = 0,
@@ -191,10 +192,10 @@ def _float_grid(tiles: DenseTiles, head: GridHead) -> NDArray[np.uint8]:
 def to_dense(
     volume: SparseVolume,
     *,
-    bounds: Any = None,
+    bounds: ArrayLike | None = None,
     dtype: Any = None,
     channel: int | str | None = None,
-    device: Any = None,
+    device: Device = None,
 ) -> DenseGrid:
     """Read all voxels of a box into a dense array, whether stored or not.
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.interop.types import Device
 from geokit.core.memory.needs import needs
 from geokit.errors import InputError
 from geokit.volume._model import SparseVolume
@@ -25,7 +26,7 @@ METRIC_ROUNDING = 1e-15
 
 
 @needs(lambda volume, *_, **__: 26300 * leaf_count(volume))
-def gradient_field(volume: SparseVolume, *, device: Any = None) -> SparseVolume:
+def gradient_field(volume: SparseVolume, *, device: Device = None) -> SparseVolume:
     """World-space gradient at every active voxel.
 
     Central differences of second order along the index axes, in float64, are transformed to world space by the inverse
@@ -51,7 +52,7 @@ def gradient_field(volume: SparseVolume, *, device: Any = None) -> SparseVolume:
 
 
 @needs(lambda volume, *_, **__: 8300 * leaf_count(volume))
-def divergence(volume: SparseVolume, *, device: Any = None) -> SparseVolume:
+def divergence(volume: SparseVolume, *, device: Device = None) -> SparseVolume:
     """World-space divergence at every active voxel.
 
     Differences as in :func:`gradient_field`. Staggered grids store component c at the lower face along axis c; there
@@ -81,7 +82,7 @@ def divergence(volume: SparseVolume, *, device: Any = None) -> SparseVolume:
 
 
 @needs(lambda volume, *_, **__: 26300 * leaf_count(volume))
-def curl(volume: SparseVolume, *, device: Any = None) -> SparseVolume:
+def curl(volume: SparseVolume, *, device: Device = None) -> SparseVolume:
     """World-space curl at every active voxel.
 
     Differences as in :func:`gradient_field`.
@@ -108,7 +109,7 @@ def curl(volume: SparseVolume, *, device: Any = None) -> SparseVolume:
 
 
 @needs(lambda volume, *_, **__: 8300 * leaf_count(volume))
-def laplacian(volume: SparseVolume, *, device: Any = None) -> SparseVolume:
+def laplacian(volume: SparseVolume, *, device: Device = None) -> SparseVolume:
     """World-space Laplacian at every active voxel.
 
     Second central differences along the index axes, with mixed ones where the voxels' axes are not orthogonal. They are

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from geokit.core import user_arrays
 from geokit.core.memory import available_memory
@@ -53,7 +53,7 @@ def _bytes(function: Function, bounds: Any, voxel_size: float, *, block: int = 1
 @needs(_bytes, late=True)
 def from_function(
     function: Function,
-    bounds: Any,
+    bounds: ArrayLike,
     voxel_size: float,
     *,
     lipschitz: float = 1.0,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from geokit.core import user_arrays
 from geokit.core.blocks.chunked_queries import Progress
 from geokit.core.gradients.differentiable import of_constants
-from geokit.core.interop.objects import MeshLike
+from geokit.core.interop.types import Device, MeshLike
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_callable, require_choice, require_flag, require_text
 from geokit.errors import InputError
@@ -110,7 +110,7 @@ def from_mesh(
     codec: str | None = None,
     compact: bool = False,
     name: str | None = None,
-    device: Any = None,
+    device: Device = None,
     progress: Progress | None = None,
 ) -> SparseVolume:
     """Build a signed distance field of a mesh, negative inside, as a NanoVDB level set on the voxels near its surface.
@@ -235,7 +235,13 @@ def from_mesh(
             "tolerance"
         )
     if tolerance is not None:
-        asked = {"within": within, "order": order, "half_width": half_width, "thickness": thickness, "codec": codec}
+        asked: dict[str, Any] = {
+            "within": within,
+            "order": order,
+            "half_width": half_width,
+            "thickness": thickness,
+            "codec": codec,
+        }
         from geokit.volume.tolerance.from_mesh import within_tolerance
 
         asked |= {"interior": interior, "device": device}
@@ -276,7 +282,7 @@ def from_mesh_with_triangles(
     thickness: float | None = None,
     interior: str = "remove",
     name: str | None = None,
-    device: Any = None,
+    device: Device = None,
 ) -> MeshBand:
     """Build the field of :func:`from_mesh`, with the nearest triangle of each active voxel.
 

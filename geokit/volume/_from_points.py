@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher, user_arrays
+from geokit.core.interop.types import Device, Rows
 from geokit.core.memory import available_memory
 from geokit.core.memory.needs import needs
 from geokit.errors import DeviceMemoryError, InputError
@@ -55,13 +56,13 @@ def _bytes(points: Any, radius: Any, voxel_size: float, *, half_width: float = 3
 
 @needs(_bytes, late=True)
 def from_points(
-    points: Any,
+    points: Rows,
     radius: Any,
     *,
     voxel_size: float,
     half_width: float = 3.0,
     name: str = "",
-    device: Any = None,
+    device: Device = None,
 ) -> SparseVolume:
     """Build the signed distance to the union of balls around points, in a band around its surface.
 

@@ -10,6 +10,7 @@ import numpy as np
 from geokit.core import launcher, user_arrays
 from geokit.core.blocks.several_devices import over_devices
 from geokit.core.gradients.differentiable import differentiable
+from geokit.core.interop.types import Devices, Rows
 from geokit.core.memory.needs import needs, rows
 from geokit.core.memory.pinned import host_flags
 from geokit.core.require import require_one_world
@@ -36,14 +37,14 @@ class Transmittance(NamedTuple):
 @needs(lambda volume, origins, *_, **__: 24 * rows(origins), late=True)
 def integrate(
     volume: SparseVolume,
-    origins: Any,
-    directions: Any,
+    origins: Rows,
+    directions: Rows,
     *,
     extinction: float = 1.0,
     emission: SparseVolume | None = None,
     t_min: float = 0.0,
     max_distance: float = math.inf,
-    device: Any = None,
+    device: Devices = None,
 ) -> Transmittance:
     """Transmittance of a fog volume along each ray, and the emission that reaches the ray's start.
 

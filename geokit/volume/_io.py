@@ -12,7 +12,7 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from geokit.core.content_limit import content_limit
 from geokit.core.files import extension, refuse_empty, require_file, size_of
@@ -74,7 +74,7 @@ def load(
     path: str | os.PathLike[str],
     *,
     grid: str | None = None,
-    bounds: Any = None,
+    bounds: ArrayLike | None = None,
     background: Any = None,
     tolerance: float = 0.0,
     grid_type: str | None = None,

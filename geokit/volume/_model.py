@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geokit.core.interop.notebook import repr_html, show
+from geokit.core.interop.types import Devices, Rows
 from geokit.core.memory.needs import needs
 from geokit.core.object_cache import CacheAttribute
 from geokit.core.require import described, require_instance
@@ -66,26 +67,26 @@ class SparseVolume:
             return self.nanovdb
 
     @needs()
-    def on(self, device: Any = None) -> "wp.Volume":
+    def on(self, device: Devices = None) -> "wp.Volume":
         """The grid as a ``warp.Volume`` on ``device``, uploaded once and cached while this volume lives."""
         from geokit.volume.nanovdb.upload import upload
 
         return upload(self, device)
 
     @needs()
-    def id(self, device: Any = None) -> int:
+    def id(self, device: Devices = None) -> int:
         """Handle of the grid for custom kernels: pass it as ``wp.uint64`` and call warp's ``volume_*`` built-ins."""
         return int(self.on(device).id)
 
     def sample(
         self,
-        points: Any,
+        points: Rows,
         *,
         order: int | None = None,
         space: str = "world",
         channel: int | str | None = None,
         transform: ArrayLike | None = None,
-        device: Any = None,
+        device: Devices = None,
     ) -> Any:
         """See :func:`geokit.volume.sample`."""
         from geokit.volume._sample import sample
@@ -94,32 +95,32 @@ class SparseVolume:
 
     def gradient(
         self,
-        points: Any,
+        points: Rows,
         *,
         order: int | None = None,
         space: str = "world",
         channel: int | str | None = None,
         transform: ArrayLike | None = None,
-        device: Any = None,
+        device: Devices = None,
     ) -> Any:
         """See :func:`geokit.volume.gradient`."""
         from geokit.volume._sample import gradient
 
         return gradient(self, points, order=order, space=space, channel=channel, transform=transform, device=device)
 
-    def hessian(self, points: Any, *, order: int = 3, space: str = "world", device: Any = None) -> Any:
+    def hessian(self, points: Rows, *, order: int = 3, space: str = "world", device: Devices = None) -> Any:
         """See :func:`geokit.volume.hessian`."""
         from geokit.volume._curvature import hessian
 
         return hessian(self, points, order=order, space=space, device=device)
 
-    def curvature(self, points: Any, *, order: int = 3, device: Any = None) -> Curvatures:
+    def curvature(self, points: Rows, *, order: int = 3, device: Devices = None) -> Curvatures:
         """See :func:`geokit.volume.curvature`."""
         from geokit.volume._curvature import curvature
 
         return curvature(self, points, order=order, device=device)
 
-    def active_at(self, points: Any, *, space: str = "world", device: Any = None) -> Any:
+    def active_at(self, points: Rows, *, space: str = "world", device: Devices = None) -> Any:
         """See :func:`geokit.volume.active_at`."""
         from geokit.volume._active import active_at
 
@@ -134,7 +135,12 @@ class SparseVolume:
         return quantize(self, codec, tolerance=tolerance, dither=dither)
 
     def to_dense(
-        self, *, bounds: Any = None, dtype: Any = None, channel: int | str | None = None, device: Any = None
+        self,
+        *,
+        bounds: ArrayLike | None = None,
+        dtype: Any = None,
+        channel: int | str | None = None,
+        device: Devices = None,
     ) -> DenseGrid:
         """See :func:`geokit.volume.to_dense`."""
         from geokit.volume._dense import to_dense
@@ -143,14 +149,14 @@ class SparseVolume:
 
     def raycast(
         self,
-        origins: Any,
-        directions: Any,
+        origins: Rows,
+        directions: Rows,
         *,
         isovalue: float = 0.0,
         t_min: float = 0.0,
         max_distance: float = math.inf,
         transform: ArrayLike | None = None,
-        device: Any = None,
+        device: Devices = None,
     ) -> VolumeHits:
         """See :func:`geokit.volume.raycast`."""
         from geokit.volume._raycast import raycast
@@ -160,14 +166,14 @@ class SparseVolume:
 
     def integrate(
         self,
-        origins: Any,
-        directions: Any,
+        origins: Rows,
+        directions: Rows,
         *,
         extinction: float = 1.0,
         emission: SparseVolume | None = None,
         t_min: float = 0.0,
         max_distance: float = math.inf,
-        device: Any = None,
+        device: Devices = None,
     ) -> Transmittance:
         """See :func:`geokit.volume.integrate`."""
         from geokit.volume._integrate import integrate

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from geokit._warn import warn
+from geokit.core.interop.types import Device
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_choice, require_count
 from geokit.core.user_arrays import require_finite_scalar
@@ -30,7 +31,7 @@ LEAST_STEP = 0.5
 
 @needs(lambda volume, *_, **__: 32500 * leaf_count(volume))
 def renormalize(
-    volume: SparseVolume, *, half_width: float | tuple[float, float] | None = None, device: Any = None
+    volume: SparseVolume, *, half_width: float | tuple[float, float] | None = None, device: Device = None
 ) -> SparseVolume:
     """Recompute signed distances around the same surface, so that the slope is 1 again.
 
@@ -68,7 +69,7 @@ def renormalize(
 
 
 @needs(lambda volume, *_, **__: 48500 * leaf_count(volume))
-def offset(volume: SparseVolume, distance: float, *, device: Any = None) -> SparseVolume:
+def offset(volume: SparseVolume, distance: float, *, device: Device = None) -> SparseVolume:
     """Move the surface of a level set by a signed distance: outwards if positive, inwards if negative.
 
     The new surface is exact to 0.05 voxel where the radius of curvature is at least 8 voxels before and after. So are
@@ -122,7 +123,7 @@ def dilate(
     *,
     voxels: int | None = None,
     neighbors: str = "faces",
-    device: Any = None,
+    device: Device = None,
 ) -> SparseVolume:
     """Dilation: grow the inside of a level set by a distance, or the active region of another grid by voxels.
 
@@ -160,7 +161,7 @@ def erode(
     *,
     voxels: int | None = None,
     neighbors: str = "faces",
-    device: Any = None,
+    device: Device = None,
 ) -> SparseVolume:
     """Erosion: shrink the inside of a level set by a distance, or the active region of another grid by voxels.
 
@@ -197,7 +198,7 @@ def opening(
     *,
     voxels: int | None = None,
     neighbors: str = "faces",
-    device: Any = None,
+    device: Device = None,
 ) -> SparseVolume:
     """Opening: erosion followed by dilation. Removes parts thinner than twice the distance.
 
@@ -234,7 +235,7 @@ def closing(
     *,
     voxels: int | None = None,
     neighbors: str = "faces",
-    device: Any = None,
+    device: Device = None,
 ) -> SparseVolume:
     """Closing: dilation followed by erosion. Fills gaps and holes narrower than twice the distance.
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from geokit.core.blocks.chunked_queries import Progress
 from geokit.core.gradients.differentiable import of_constants
-from geokit.core.interop.objects import MeshLike
+from geokit.core.interop.types import Device, MeshLike
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_callable
 from geokit.volume._adaptive import MOST_LEVELS
@@ -73,7 +73,7 @@ def plan(
     thickness: float | None = None,
     interior: str = "remove",
     codec: str | None = None,
-    device: Any = None,
+    device: Device = None,
     progress: Progress | None = None,
 ) -> list[PlannedField]:
     """List fields with which a mesh's distances keep a tolerance, and what each of them costs.

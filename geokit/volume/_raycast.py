@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from geokit.core import launcher, user_arrays
 from geokit.core.blocks.several_devices import over_devices
 from geokit.core.gradients.differentiable import differentiable
+from geokit.core.interop.types import Devices, Rows
 from geokit.core.launches.replay import replayed
 from geokit.core.memory.needs import needs, rows
 from geokit.core.memory.pinned import host_flags
@@ -44,14 +45,14 @@ class VolumeHits(NamedTuple):
 @needs(lambda volume, origins, *_, **__: 80 * rows(origins), late=True)
 def raycast(
     volume: SparseVolume,
-    origins: Any,
-    directions: Any,
+    origins: Rows,
+    directions: Rows,
     *,
     isovalue: float = 0.0,
     t_min: float = 0.0,
     max_distance: float = math.inf,
     transform: ArrayLike | None = None,
-    device: Any = None,
+    device: Devices = None,
 ) -> VolumeHits:
     """First point on each ray where the volume's value equals the isovalue, from either side.
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from geokit.core import launcher
 from geokit.core.gradients.differentiable import of_constants
+from geokit.core.interop.types import Device
 from geokit.core.memory.needs import needs
 from geokit.core.memory.row_products import row_product
 from geokit.core.user_arrays import require_finite_scalar
@@ -66,7 +67,7 @@ def resample(
     voxel_size: float | None = None,
     transform: Any = None,
     order: int = 1,
-    device: Any = None,
+    device: Device = None,
 ) -> SparseVolume:
     """Resample a volume to voxels of another size, or to another transform.
 
@@ -120,7 +121,7 @@ def resample(
 
 
 def resampled(
-    volume: SparseVolume, transform: NDArray[np.float64], *, order: int, dtype: Any, device: Any = None
+    volume: SparseVolume, transform: NDArray[np.float64], *, order: int, dtype: Any, device: Device = None
 ) -> SparseVolume:
     """:func:`resample` for checked arguments and any real value type."""
     if volume.info.grid_class != "level set":

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from geokit.core import launcher
 from geokit.core.blocks.several_devices import over_devices
 from geokit.core.gradients.differentiable import differentiable
+from geokit.core.interop.types import Devices, Rows
 from geokit.core.launches.replay import replayed
 from geokit.core.memory.needs import needs, rows
 from geokit.core.poses.placed import placed
@@ -50,13 +51,13 @@ def _require_placeable(volume: Any, *, space: str = "world", channel: int | str 
 @needs(lambda volume, points, **_: 16 * rows(points), late=True)
 def sample(
     volume: SparseVolume,
-    points: Any,
+    points: Rows,
     *,
     order: int | None = None,
     space: str = "world",
     channel: int | str | None = None,
     transform: ArrayLike | None = None,
-    device: Any = None,
+    device: Devices = None,
 ) -> Any:
     """Interpolate a volume at each point.
 
@@ -142,13 +143,13 @@ def sample(
 @needs(lambda volume, points, **_: 32 * rows(points), late=True)
 def gradient(
     volume: SparseVolume,
-    points: Any,
+    points: Rows,
     *,
     order: int | None = None,
     space: str = "world",
     channel: int | str | None = None,
     transform: ArrayLike | None = None,
-    device: Any = None,
+    device: Devices = None,
 ) -> Any:
     """Gradient of a volume at each point.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from geokit.core.memory.needs import needs
 from geokit.core.require import read_array
@@ -47,7 +47,7 @@ def prune(volume: SparseVolume, tolerance: float = 0.0) -> SparseVolume:
 
 
 @needs(lambda volume, *_, **__: 5600 * leaf_count(volume))
-def clip(volume: SparseVolume, bounds: Any) -> SparseVolume:
+def clip(volume: SparseVolume, bounds: ArrayLike) -> SparseVolume:
     """Keep the part of a volume inside a box; everything outside becomes inactive background.
 
     A voxel is inside if its center is, including the box's faces, under any affine transform. A level set is cut open:

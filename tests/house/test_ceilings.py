@@ -23,7 +23,7 @@ from tests.house.test_rooms import FORWARDING, PACKAGE, edges
 # to verbs. Annotations of public names with Any.
 MOST_FILES = 26
 CEILINGS = {
-    "lines": 117436,
+    "lines": 117578,
     "files in core": 33,
     "files in mesh/bvh": 55,
     "files in mesh/queries": 35,
@@ -36,7 +36,7 @@ CEILINGS = {
     "files in volume/tree": 40,
     "folders in knots": 40,
     "files in import circles": 33,
-    "public arguments with Any": 252,
+    "public arguments with Any": 55,
     "public returns with Any": 48,
     "public fields with Any": 64,
 }
@@ -119,7 +119,7 @@ def public_annotations() -> Iterator[tuple[str, str, Any]]:
                 continue
             for field, annotation in inspect.get_annotations(thing).items():
                 yield "fields", f"{named}.{field}", annotation
-            for method in [*dir(thing), "__init__"]:
+            for method in sorted({*dir(thing), "__init__"}):
                 value = inspect.getattr_static(thing, method)
                 value = getattr(value, "__func__", getattr(value, "fget", value))
                 is_made = method == "__init__" and not hasattr(thing, "__dataclass_fields__")

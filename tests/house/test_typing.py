@@ -135,6 +135,45 @@ def test_meshes_of_other_libraries_go_in(checker, cache, tmp_path):
     assert run.stdout.count("user.py:") >= len(wrong)
 
 
+ROWS = """
+from typing import Any
+import geokit as gk
+
+class TorchDevice:
+    type: str
+    index: int
+
+class CupyDevice:
+    id: int
+
+class Tensor:
+    def __dlpack__(self, *, stream: int | None = None) -> Any: ...
+
+class OnGpu:
+    __cuda_array_interface__: dict[str, Any]
+
+class Cloud:
+    points: list[list[float]]
+
+mesh, volume = gk.mesh.box(), gk.volume.from_mesh(gk.mesh.box(), 0.1, device=CupyDevice())
+surface = gk.mesh.Surface(mesh, device=TorchDevice())
+for rows in (Tensor(), OnGpu(), Cloud(), [[0.0, 0.0, 0.0]]):
+    surface.closest_point(rows)
+    volume.sample(rows, device=["cuda:0", "cuda:1"])
+    gk.points.NeighborGrid(rows, 0.1, device="cuda:*").knn(rows, 3)
+surface.raycast(Tensor(), (0.0, 0.0, 1.0))
+"""
+
+
+def test_rows_and_devices_of_other_libraries_go_in(checker, cache, tmp_path):
+    run = check(checker, ROWS, tmp_path, cache)
+    assert run.returncode == 0, run.stdout + run.stderr
+    wrong = ["surface.closest_point(object())", "gk.mesh.Surface(mesh, device=3)", "gk.mesh.simplify(mesh, device=[])"]
+    run = check(checker, ROWS + "\n".join(wrong) + "\n", tmp_path, cache)
+    assert run.returncode == 1
+    assert run.stdout.count("user.py:") >= len(wrong)
+
+
 def test_a_name_that_is_not_there_is_an_error(checker, cache, tmp_path):
     run = check(checker, "import geokit as gk\nprint(gk.mesh.Surfacing)\nprint(gk.volumes)\n", tmp_path, cache)
     assert run.returncode == 1

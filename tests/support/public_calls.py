@@ -449,9 +449,10 @@ _KINDS = {
     "OverlapQueries": "object", "SparseVolume": "object", "GridInfo": "object", "Trial": "object", "Chart": "object",
     "Sweep": "object", "Mapping": "mapping", "Progress": "callable", "Callable": "callable", "Function": "callable",
     "Sequence": "sequence", "Iterable": "sequence", "tuple": "sequence",
+    "Rows": "numbers", "Device": "device none", "Devices": "device none",
 }  # fmt: skip
 # Those of parameters of any type, by name.
-_NAMED = {"device": "device none", "dtype": "dtype none", "kernel": "object", "bounds": "numbers none"}
+_NAMED = {"dtype": "dtype none", "kernel": "object", "bounds": "numbers none"}
 
 
 def kinds_of(call: Call, parameter: inspect.Parameter) -> frozenset[str]:
@@ -461,7 +462,8 @@ def kinds_of(call: Call, parameter: inspect.Parameter) -> frozenset[str]:
         found = set(_NAMED.get(parameter.name, "numbers none" if parameter.default is None else "numbers").split())
     else:
         words = annotation.replace("[", " ").replace("]", " ").replace("|", " ").replace(",", " ").replace("'", " ")
-        found = {kind for word in words.replace("os.", "").replace(".", " ").split() if (kind := _KINDS.get(word))}
+        words = words.replace("os.", "").replace(".", " ")
+        found = {kind for word in words.split() for kind in _KINDS.get(word, "").split()}
         if "path" in found:
             found -= {"text"}
     if found & {"number", "numbers"}:

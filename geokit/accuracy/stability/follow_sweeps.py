@@ -7,7 +7,7 @@ import os
 import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from geokit.accuracy.trials.model import Sweep
 from geokit.accuracy.trials.time_left import time_left
 from geokit.core import launcher
 from geokit.core.files import atomic_path, is_there
+from geokit.core.interop.types import Device
 from geokit.core.memory.needs import needs
 from geokit.core.require import (
     require_callable,
@@ -59,7 +60,7 @@ class Outcome(NamedTuple):
 
 
 @needs(lambda *_, **__: 4 << 20, fatal=True)  # of modules
-def sweeps(device: Any = None) -> list[Sweep]:
+def sweeps(device: Device = None) -> list[Sweep]:
     """All sweeps of meshes, volumes and points.
 
     Args:
@@ -134,7 +135,7 @@ def write_stability(
     *,
     force: bool = False,
     chosen: Sequence[Sweep] | None = None,
-    device: Any = None,
+    device: Device = None,
     progress: Callable[[str], None] | None = None,
     figure_format: str = "png",
 ) -> Path:

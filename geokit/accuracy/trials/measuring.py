@@ -5,12 +5,13 @@ from __future__ import annotations
 import gc
 import math
 import time
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.accuracy.trials.peak_memory import peak_bytes
+from geokit.core.interop.types import Device
 from geokit.core.require import require_flag, require_instance, require_text
 from geokit.errors import InputError
 
@@ -32,7 +33,9 @@ QUICK_BUDGET_SECONDS = 0.08
 PERCENTILE = 0.999
 
 
-def measure(trial: "Trial", chart: "Chart", subject: str, device: Any = None, *, quick: bool = False) -> "Measurement":
+def measure(
+    trial: "Trial", chart: "Chart", subject: str, device: Device = None, *, quick: bool = False
+) -> "Measurement":
     """Time a trial and compare its answers with the reference.
 
     The first call loads kernels; its answers are checked, but it is not timed. The second call measures the peak

@@ -7,7 +7,7 @@ comes of them is checked where geokit's own objects are made.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple, Protocol, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,6 @@ from geokit.errors import InputError
 __all__ = [
     "POLYGON_CELLS",
     "Image",
-    "MeshLike",
     "Polygons",
     "arrays_of",
     "attribute",
@@ -60,62 +59,6 @@ class Image(NamedTuple):
     origin: tuple[int, ...]
     transform: NDArray[np.float64]
     name: str
-
-
-class _Indexed(Protocol):
-    """geokit's TriangleMesh, trimesh.Trimesh, and most others."""
-
-    @property
-    def vertices(self) -> Any: ...
-    @property
-    def faces(self) -> Any: ...
-
-
-class _Triangles(Protocol):
-    """open3d.geometry.TriangleMesh."""
-
-    @property
-    def vertices(self) -> Any: ...
-    @property
-    def triangles(self) -> Any: ...
-
-
-class _Tensors(Protocol):
-    """open3d.t.geometry.TriangleMesh."""
-
-    @property
-    def vertex(self) -> Any: ...
-    @property
-    def triangle(self) -> Any: ...
-
-
-class _Faces(Protocol):
-    """pyvista.PolyData."""
-
-    @property
-    def points(self) -> Any: ...
-    @property
-    def faces(self) -> Any: ...
-
-
-class _Cells(Protocol):
-    """meshio.Mesh."""
-
-    @property
-    def points(self) -> Any: ...
-    @property
-    def cells(self) -> Any: ...
-
-
-class _Scene(Protocol):
-    """trimesh.Scene."""
-
-    @property
-    def geometry(self) -> Any: ...
-
-
-# What functions take for a mesh, for type checkers: :func:`polygons_of` reads these attributes.
-MeshLike: TypeAlias = _Indexed | _Triangles | _Tensors | _Faces | _Cells | _Scene | tuple[Any, Any]
 
 
 def points_of(values: Any, name: str) -> Any:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher, user_arrays
+from geokit.core.interop.types import Rows
 from geokit.core.memory import available_memory
 from geokit.core.memory.needs import needs, rows
 from geokit.core.memory.pinned import host_flags
@@ -48,7 +49,7 @@ class OverlapQueries:
 
     @needs(lambda self, lower, upper: 36 * rows(lower), late=True)
     @on_snapshot
-    def overlapping(self, lower: Any, upper: Any) -> BoxOverlaps:
+    def overlapping(self, lower: Rows, upper: Rows) -> BoxOverlaps:
         """Triangles that intersect each box; exact tests of the triangles, not only of their bounding boxes.
 
         Boxes and triangles are closed sets: touching counts as intersecting. No intersecting triangle is missed;

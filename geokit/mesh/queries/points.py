@@ -14,6 +14,7 @@ from geokit.core.blocks.chunked_queries import Progress, in_chunks
 from geokit.core.gradients.differentiable import differentiable, undifferentiable
 from geokit.core.gradients.rules import untracked
 from geokit.core.interop.arrays import import_array
+from geokit.core.interop.types import Rows
 from geokit.core.launches.late_checks import later
 from geokit.core.launches.replay import replayed
 from geokit.core.memory.needs import needs, rows
@@ -75,7 +76,7 @@ class PointQueries:
     @on_snapshot
     def closest_point(
         self,
-        points: Any,
+        points: Rows,
         *,
         max_distance: float = math.inf,
         transform: ArrayLike | None = None,
@@ -132,7 +133,7 @@ class PointQueries:
     @needs(lambda self, points, *, names=None, **_: interpolation_bytes(self.mesh, names) * rows(points), late=True)
     @on_snapshot
     def sample_attributes(
-        self, points: Any, *, max_distance: float = math.inf, names: Sequence[str] | None = None
+        self, points: Rows, *, max_distance: float = math.inf, names: Sequence[str] | None = None
     ) -> dict[str, NDArray[Any]]:
         """Attributes of the mesh at the closest point of each query point.
 
@@ -176,7 +177,7 @@ class PointQueries:
     @replayed()
     @needs(lambda self, points, *_, **__: 72 * rows(points), late=True)
     @on_snapshot
-    def furthest_point(self, points: Any, *, transform: ArrayLike | None = None) -> FurthestPoints:
+    def furthest_point(self, points: Rows, *, transform: ArrayLike | None = None) -> FurthestPoints:
         """Furthest point of the surface for each query point: always a vertex, exact in float64.
 
         Ties go to the lowest triangle_id, and within it to the first corner.
@@ -221,7 +222,7 @@ class PointQueries:
     def _query(
         self,
         kernel: Any,
-        points: Any,
+        points: Rows,
         inputs: list[Any],
         outputs: list[Any],
         group: int = 0,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from geokit.core import launcher, user_arrays
 from geokit.core.blocks.chunked_queries import Progress, in_chunks
 from geokit.core.gradients.differentiable import differentiable, undifferentiable
+from geokit.core.interop.types import Rows
 from geokit.core.launches.late_checks import later
 from geokit.core.launches.replay import replayed
 from geokit.core.memory.needs import needs, rows
@@ -83,8 +84,8 @@ class RayQueries:
     @on_snapshot
     def raycast(
         self,
-        origins: Any,
-        directions: Any,
+        origins: Rows,
+        directions: Rows,
         *,
         t_min: float = 0.0,
         max_distance: float = math.inf,
@@ -156,8 +157,8 @@ class RayQueries:
     @on_snapshot
     def raycast_all(
         self,
-        origins: Any,
-        directions: Any,
+        origins: Rows,
+        directions: Rows,
         *,
         t_min: float = 0.0,
         max_distance: float = math.inf,
@@ -197,15 +198,15 @@ class RayQueries:
 
         from geokit.mesh.queries.crossings_kernels import list_crossings_kernel
 
-        rays, directions = user_arrays.read_rows([origins, directions], NAMES, self._device, defer=True)
-        count = self._count_crossings(rays, directions, t_min, max_distance)
+        rays, heading = user_arrays.read_rows([origins, directions], NAMES, self._device, defer=True)
+        count = self._count_crossings(rays, heading, t_min, max_distance)
         offsets = row_offsets(count)
         total = int(offsets[-1:].numpy()[0])
         t = user_arrays.empty(total, wp.float64, rays.rows)
         triangle_id = user_arrays.empty(total, wp.int32, rays.rows)
         barycentric = user_arrays.empty(total, wp.vec3d, rays.rows)
         outputs = [t, triangle_id, barycentric]
-        self._begin(list_crossings_kernel, rays, directions, t_min, max_distance, outputs, offsets)()
+        self._begin(list_crossings_kernel, rays, heading, t_min, max_distance, outputs, offsets)()
         give = rays.to_lists or rays.to_caller
         return RayHitLists(give(offsets), give(t), give(triangle_id), give(barycentric))
 
@@ -215,8 +216,8 @@ class RayQueries:
     @on_snapshot
     def crossing_count(
         self,
-        origins: Any,
-        directions: Any,
+        origins: Rows,
+        directions: Rows,
         *,
         t_min: float = 0.0,
         max_distance: float = math.inf,
@@ -252,8 +253,8 @@ class RayQueries:
     @on_snapshot
     def occluded(
         self,
-        origins: Any,
-        directions: Any,
+        origins: Rows,
+        directions: Rows,
         *,
         t_min: float = 0.0,
         max_distance: float = math.inf,

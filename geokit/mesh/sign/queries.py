@@ -13,6 +13,7 @@ from geokit._warn import warn
 from geokit.core import launcher, user_arrays
 from geokit.core.blocks.chunked_queries import Progress, in_chunks
 from geokit.core.gradients.differentiable import differentiable, undifferentiable
+from geokit.core.interop.types import Rows
 from geokit.core.launches.late_checks import later
 from geokit.core.launches.replay import replayed
 from geokit.core.memory.host_array import HostArray
@@ -70,7 +71,7 @@ class SignQueries(PointQueries):
     @on_snapshot
     def signed_distance(
         self,
-        points: Any,
+        points: Rows,
         *,
         sign: str = "auto",
         max_distance: float = math.inf,
@@ -165,7 +166,7 @@ class SignQueries(PointQueries):
     @on_snapshot
     def contains(
         self,
-        points: Any,
+        points: Rows,
         *,
         sign: str = "auto",
         transform: ArrayLike | None = None,
@@ -221,7 +222,7 @@ class SignQueries(PointQueries):
     @on_snapshot
     def winding_number(
         self,
-        points: Any,
+        points: Rows,
         *,
         as_given: bool = False,
         transform: ArrayLike | None = None,
@@ -274,7 +275,7 @@ class SignQueries(PointQueries):
     @replayed()
     @needs(lambda self, points, **_: 100 * self.mesh.face_count + 40 * rows(points), late=True)
     @on_snapshot
-    def sign_confidence(self, points: Any, *, transform: ArrayLike | None = None) -> Any:
+    def sign_confidence(self, points: Rows, *, transform: ArrayLike | None = None) -> Any:
         """Margin of the sign by winding number: the distance of the winding number from 1/2.
 
         1/2 or more where the winding number is a whole one; near 0 in the holes of an open mesh, where either sign may

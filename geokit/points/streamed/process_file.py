@@ -17,6 +17,7 @@ from geokit.core import launcher
 from geokit.core.blocks.chunked_queries import Progress
 from geokit.core.content_limit import working_memory
 from geokit.core.files import atomic_path, require_extension, require_room
+from geokit.core.interop.types import Device
 from geokit.core.memory.available_memory import available
 from geokit.core.memory.needs import needs
 from geokit.core.private_folder import private_folder
@@ -70,7 +71,7 @@ def process_file(
     density: Mapping[str, Any] | None = None,
     finite_only: bool = False,
     memory_limit: int | None = None,
-    device: Any = None,
+    device: Device = None,
     executor: Any = None,
     progress: Progress | None = None,
 ) -> ProcessedFile:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from geokit._warn import warn
 from geokit.core import launcher, user_arrays
-from geokit.core.interop.objects import MeshLike
+from geokit.core.interop.types import MeshLike
 from geokit.core.require import described, require_choice
 from geokit.core.snapshot import snapshot
 from geokit.errors import InputError, MissingDependencyError

@@ -13,6 +13,7 @@ from geokit.core import launcher, user_arrays
 from geokit.core.blocks.chunked_queries import Progress
 from geokit.core.content_limit import working_memory
 from geokit.core.files import atomic_path, require_extension, require_room
+from geokit.core.interop.types import Device
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_callable, require_choice, require_path, require_text
 from geokit.errors import InputError
@@ -51,7 +52,7 @@ def from_mesh_file(
     thickness: float | None = None,
     name: str | None = None,
     memory_limit: int | None = None,
-    device: Any = None,
+    device: Device = None,
     executor: Any = None,
     progress: Progress | None = None,
 ) -> GridInfo:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from geokit.core import user_arrays
 from geokit.core.blocks.chunked_queries import Progress
-from geokit.core.interop.objects import MeshLike
+from geokit.core.interop.types import MeshLike
 from geokit.core.require import require_choice, require_count
 from geokit.errors import InputError
 from geokit.volume.band.band import BandShape, build_band, make_band

@@ -1,0 +1,130 @@
+"""What public functions take, for type checkers: devices, rows of numbers, and meshes of any library."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
+
+from numpy.typing import ArrayLike
+
+if TYPE_CHECKING:
+    import warp as wp
+
+__all__ = ["Device", "Devices", "MeshLike", "Rows"]
+
+
+class _TypedDevice(Protocol):
+    """torch.device."""
+
+    @property
+    def type(self) -> str: ...
+    @property
+    def index(self) -> Any: ...
+
+
+class _NumberedDevice(Protocol):
+    """jax.Device and cupy.cuda.Device."""
+
+    @property
+    def id(self) -> int: ...
+
+
+# Where to compute: an alias ("cpu", "cuda:0"), or a device of warp, torch, JAX or CuPy; None for the first GPU, else
+# the CPU. See :func:`geokit.core.launcher.resolve_device`.
+Device: TypeAlias = "str | wp.Device | _TypedDevice | _NumberedDevice | None"
+# One of these, several, or "cuda:*" for all GPUs.
+Devices: TypeAlias = "Device | Sequence[Device]"
+
+
+class _Exporter(Protocol):
+    """Arrays of torch, JAX, CuPy and warp."""
+
+    def __dlpack__(self, *_: Any, **__: Any) -> Any: ...
+
+
+class _CudaExporter(Protocol):
+    """Arrays on a GPU of Numba and others."""
+
+    @property
+    def __cuda_array_interface__(self) -> dict[str, Any]: ...
+
+
+class _Points(Protocol):
+    """geokit's PointCloud, pyvista.PolyData, meshio.Mesh and open3d.geometry.PointCloud."""
+
+    @property
+    def points(self) -> Any: ...
+
+
+class _Vertices(Protocol):
+    """trimesh.PointCloud."""
+
+    @property
+    def vertices(self) -> Any: ...
+
+
+class _Positions(Protocol):
+    """open3d.t.geometry.PointCloud."""
+
+    @property
+    def point(self) -> Any: ...
+
+
+# Rows of numbers, or an object that holds points: :func:`geokit.core.interop.objects.points_of` reads these attributes.
+Rows: TypeAlias = "ArrayLike | _Exporter | _CudaExporter | _Points | _Vertices | _Positions"
+
+
+class _Indexed(Protocol):
+    """geokit's TriangleMesh, trimesh.Trimesh, and most others."""
+
+    @property
+    def vertices(self) -> Any: ...
+    @property
+    def faces(self) -> Any: ...
+
+
+class _Triangles(Protocol):
+    """open3d.geometry.TriangleMesh."""
+
+    @property
+    def vertices(self) -> Any: ...
+    @property
+    def triangles(self) -> Any: ...
+
+
+class _Tensors(Protocol):
+    """open3d.t.geometry.TriangleMesh."""
+
+    @property
+    def vertex(self) -> Any: ...
+    @property
+    def triangle(self) -> Any: ...
+
+
+class _Faces(Protocol):
+    """pyvista.PolyData."""
+
+    @property
+    def points(self) -> Any: ...
+    @property
+    def faces(self) -> Any: ...
+
+
+class _Cells(Protocol):
+    """meshio.Mesh."""
+
+    @property
+    def points(self) -> Any: ...
+    @property
+    def cells(self) -> Any: ...
+
+
+class _Scene(Protocol):
+    """trimesh.Scene."""
+
+    @property
+    def geometry(self) -> Any: ...
+
+
+# What functions take for a mesh, for type checkers: :func:`geokit.core.interop.objects.polygons_of` reads them.
+MeshLike: TypeAlias = _Indexed | _Triangles | _Tensors | _Faces | _Cells | _Scene | tuple[Any, Any]
