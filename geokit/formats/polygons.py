@@ -80,7 +80,8 @@ def triangulate(
 
     A convex polygon becomes the fan from its first corner, a concave quad the fan from its reflex corner. Other concave
     polygons lose one ear after the other, on the plane of their mean (Newell) normal, so that no triangle is flipped. A
-    polygon that crosses itself has no correct triangulation, but is also cut into ``corners - 2`` triangles.
+    polygon that crosses itself has no correct triangulation: where no ear is left, its flattest corner is cut off,
+    until there are ``corners - 2`` triangles, whose signed areas add up to the polygon's.
 
     Args:
         points: Vertex positions, shape (V, 3).

@@ -6,6 +6,7 @@ import gzip
 import io
 import itertools
 import struct
+import time
 import zipfile
 import zlib
 
@@ -149,6 +150,63 @@ def test_bombs_are_refused_with_the_estimate(tmp_path, server, name):
     assert message.startswith(f"{tmp_path / name}: its content needs 1.5 GiB of memory"), done.stdout
     assert "raise memory_limit" in message
     assert int(grown) < 100  # MiB
+
+
+def _polygon(path):
+    """One face of random corners, which crosses itself wherever it can."""
+    count, kind = 2_000, path.suffix
+    corners = np.random.default_rng(5).random((count, 3)).round(6) * [1, 1, 0]
+    numbers = "\n".join(" ".join(map(str, row)) for row in corners.tolist())
+    face = " ".join(map(str, range(count)))
+    vtk_xml = (
+        '<VTKFile type="{0}" version="0.1"><{0}><Piece NumberOfPoints="{1}" {2}><Points><DataArray type="Float64" '
+        'NumberOfComponents="3" format="ascii">{3}</DataArray></Points><{4}><DataArray type="Int32" Name="connectivity"'
+        ' format="ascii">{5}</DataArray><DataArray type="Int32" Name="offsets" format="ascii">{1}</DataArray>{6}</{4}>'
+        "</Piece></{0}></VTKFile>"
+    )
+    types = '<DataArray type="UInt8" Name="types" format="ascii">7</DataArray>'
+    texts = {
+        ".obj": "v " + numbers.replace("\n", "\nv ") + "\nf " + " ".join(map(str, range(1, count + 1))) + "\n",
+        ".off": f"OFF\n{count} 1 0\n{numbers}\n{count} {face}\n",
+        ".ply": f"ply\nformat ascii 1.0\nelement vertex {count}\nproperty double x\nproperty double y\n"
+        f"property double z\nelement face 1\nproperty list int int vertex_indices\nend_header\n"
+        f"{numbers}\n{count} {face}\n",
+        ".vtk": f"# vtk DataFile Version 3.0\na\nASCII\nDATASET POLYDATA\nPOINTS {count} double\n{numbers}\n"
+        f"POLYGONS 1 {count + 1}\n{count} {face}\n",
+        ".vtp": vtk_xml.format("PolyData", count, 'NumberOfPolys="1"', numbers, "Polys", face, ""),
+        ".vtu": vtk_xml.format("UnstructuredGrid", count, 'NumberOfCells="1"', numbers, "Cells", face, types),
+        ".usda": '#usda 1.0\ndef Mesh "a" {\npoint3f[] points = ['
+        + ", ".join(f"({x}, {y}, {z})" for x, y, z in corners.tolist())
+        + f"]\nint[] faceVertexCounts = [{count}]\nint[] faceVertexIndices = [{face.replace(' ', ', ')}]\n}}\n",
+        ".xdmf": f'<Xdmf Version="3.0"><Domain><Grid Name="g"><Geometry GeometryType="XYZ"><DataItem DataType="Float" '
+        f'Dimensions="{count} 3" Format="XML" Precision="8">{numbers}</DataItem></Geometry><Topology '
+        f'TopologyType="Mixed" NumberOfElements="1"><DataItem DataType="Int" Dimensions="{count + 2}" Format="XML" '
+        f'Precision="4">3 {count} {face}</DataItem></Topology></Grid></Domain></Xdmf>',
+        ".dae": '<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1"><asset><up_axis>Z_UP'
+        '</up_axis></asset><library_geometries><geometry id="g"><mesh><source id="p"><float_array id="a" '
+        f'count="{3 * count}">{numbers}</float_array><technique_common>'
+        f'<accessor source="#a" count="{count}" stride="3">'
+        '<param name="X" type="float"/><param name="Y" type="float"/><param name="Z" type="float"/></accessor>'
+        '</technique_common></source><vertices id="v"><input semantic="POSITION" source="#p"/></vertices><polylist '
+        f'count="1"><input semantic="VERTEX" source="#v" offset="0"/><vcount>{count}</vcount><p>{face}</p></polylist>'
+        '</mesh></geometry></library_geometries><library_visual_scenes><visual_scene id="s"><node>'
+        '<instance_geometry url="#g"/></node></visual_scene></library_visual_scenes><scene>'
+        '<instance_visual_scene url="#s"/></scene></COLLADA>',
+    }
+    path.write_text(texts[kind])
+    return count
+
+
+POLYGONS = {".usda": "pxr", ".dae": "collada"}
+
+
+@pytest.mark.parametrize("kind", [".obj", ".off", ".ply", ".vtk", ".vtp", ".vtu", ".usda", ".xdmf", ".dae"])
+def test_a_face_that_crosses_itself_costs_little(tmp_path, kind):
+    pytest.importorskip(POLYGONS.get(kind, "numpy"))
+    count = _polygon(tmp_path / f"a{kind}")
+    begin = time.process_time()
+    assert len(mesh.load(tmp_path / f"a{kind}").faces) == count - 2
+    assert time.process_time() - begin < 15.0  # 0.2 s; 50 s and more where each ear is looked for among all corners
 
 
 def test_the_limit_is_the_caller_s(tmp_path):
