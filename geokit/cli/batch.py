@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from geokit.cli._batches.manifest import Manifest, merge, read_manifest, write_failures
+from geokit.cli._batches.manifest import Manifest, merge, own_files, read_manifest, write_failures
 from geokit.cli._batches.recipe import Recipe, output_names, read_recipe
 from geokit.cli._batches.report import totals, write_report
 from geokit.cli._batches.schedule import local_workers, remote_workers, run_all
@@ -19,7 +19,7 @@ from geokit.cli._batches.worker import versions
 from geokit.cli._console import note, print_json, say, step
 from geokit.cli._kinds import may_write
 from geokit.core.files import require_file
-from geokit.core.require import require_count
+from geokit.core.require import require_count, require_number
 from geokit.errors import InputError
 
 __all__ = ["batch"]
@@ -35,6 +35,7 @@ def batch(
     jobs: int | None = None,
     shard: str | None = None,
     task_memory: int | None = None,
+    task_seconds: float | None = None,
     retry_failed: Flag = False,
     merge: Flag = False,
     force: Flag = False,
@@ -46,12 +47,14 @@ def batch(
         files: The recipe, then the files. With --merge, the manifests of shards.
         out: Folder for what the recipe makes, the manifest, the list of failures and the report. With --merge, the
             manifest to write.
-        files_from: A text file that names further files, one a line.
+        files_from: A text file that names further files, one a line; only newlines, or CR LF, end a line.
         scheduler: Address of a Dask scheduler, as in tcp://host:8786, or local for a cluster of this machine; by
             default, processes of this machine without Dask.
         jobs: Number of processes of this machine; by default one for each core.
         shard: Do one part of the files, as in 3/64; the manifests of the parts can be merged.
         task_memory: Largest resident memory in bytes of the process that does a file; the file fails beyond it.
+        task_seconds: Longest time in seconds that a file may take, with the start of its process (a second or two); the
+            file fails beyond it. By default a file may take any time.
         retry_failed: Do files again that failed before.
         merge: Write one manifest of several.
         force: Replace files in the folder that are not of this batch.
@@ -66,6 +69,8 @@ def batch(
     jobs = os.cpu_count() or 1 if jobs is None else require_count(jobs, "--jobs", 1)
     if task_memory is not None:
         require_count(task_memory, "--task-memory", 1)
+    if task_seconds is not None and not require_number(task_seconds, "--task-seconds") > 0:
+        raise InputError(f"--task-seconds: {task_seconds:g} is no time; give one above 0")
     recipe = read_recipe(files[0])
     sources = list(_sources(files[1:], files_from))
     _refuse_collisions(recipe, sources)
@@ -73,14 +78,14 @@ def batch(
         sources = [source for source in sources if int(key_of(source), 16) % part[1] == part[0] - 1]
     with Manifest(out, recipe, part) as manifest:
         todo = [source for source in sources if not manifest.is_done(source, retry_failed)]
-        if not force:
-            manifest.check_outputs(recipe, todo)
+        manifest.check_outputs(todo, force)
         threads = 1 if scheduler else max(1, (os.cpu_count() or 1) // jobs)
         work: dict[str, Any] = {
             "steps": [asdict(step) for step in recipe.steps],
             "staging": str(manifest.staging.absolute()),
             "versions": versions(),
             "memory": task_memory,
+            "seconds": task_seconds,
             "threads": threads,
         }
         before, failed = len(sources) - len(todo), 0
@@ -107,7 +112,7 @@ def batch(
 
 
 def _finished(records: dict[str, dict[str, Any]], recipe: str, folder: Path, suffix: str, *, json: bool) -> int:
-    failures, page = folder / f"failures{suffix}.tsv", folder / f"report{suffix}.html"
+    failures, page = own_files(folder, suffix)
     failed = write_failures(records, failures)
     write_report(records, recipe, page)
     if json:
@@ -136,7 +141,9 @@ def _sources(files: Sequence[Path], listed: Path | None) -> Iterator[str]:
     """The files to do, each once, as absolute paths."""
     lines: list[str] = []
     if listed is not None:
-        lines = require_file(listed).read_text(encoding="utf-8", errors="surrogateescape").splitlines()
+        # Names may hold other characters that splitlines() and text mode take for line ends.
+        text = require_file(listed).read_bytes().decode("utf-8", "surrogateescape")
+        lines = [line.removesuffix("\r") for line in text.split("\n")]
     seen = dict.fromkeys(os.path.abspath(file) for file in [*map(str, files), *filter(str.strip, lines)])
     if not seen:
         raise InputError("no files are given; name them after the recipe, or in a list with --files-from")
@@ -146,7 +153,7 @@ def _sources(files: Sequence[Path], listed: Path | None) -> Iterator[str]:
 def _refuse_collisions(recipe: Recipe, sources: Sequence[str]) -> None:
     made: dict[str, str] = {}
     for source in sources:
-        for name in output_names(recipe, Path(source)):
+        for name in output_names(recipe, Path(source)) or ():
             if made.setdefault(name, source) != source:
                 raise InputError(
                     f"{source}: would become {name}, as {made[name]} does; write {{folder}} into output, as in "

@@ -11,15 +11,16 @@ import fcntl
 import io
 import os
 import secrets
+import stat
 import tempfile
 import time
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
-from geokit.errors import FileAccessError
+from geokit.errors import FileAccessError, InputError
 
-__all__ = ["private_folder", "remove_folder", "temporary_parent"]
+__all__ = ["make_own", "private_folder", "remove_folder", "temporary_parent"]
 
 PREFIX = ".geokit-"
 LOCK = "lock"
@@ -122,7 +123,14 @@ def _remove(made: list[_Made]) -> None:
 
 
 def remove_folder(folder: str | os.PathLike[str]) -> None:
-    """What can be removed of a folder. shutil.rmtree() may close a descriptor twice where an interrupt comes."""
+    """Remove what can be removed of a folder, or a link in its place.
+
+    shutil.rmtree() may close a descriptor twice where an interrupt comes.
+    """
+    if os.path.islink(folder):
+        with contextlib.suppress(OSError):
+            os.unlink(folder)
+        return
     for place, folders, files in os.walk(folder, topdown=False):
         for name in (*files, *folders):
             path = os.path.join(place, name)
@@ -130,6 +138,29 @@ def remove_folder(folder: str | os.PathLike[str]) -> None:
                 (os.rmdir if name in folders and not os.path.islink(path) else os.unlink)(path)
     with contextlib.suppress(OSError):
         os.rmdir(folder)
+
+
+def make_own(folder: Path) -> None:
+    """Make a folder for this user alone, or see that what is there is one that nobody else could have filled.
+
+    Raises:
+        InputError: There is a link, a file, a folder of another user, or one that others may write to.
+        OSError: It cannot be made.
+    """
+    try:
+        os.mkdir(folder, 0o700)
+        return  # some file systems give all that is made another owner or mode
+    except FileExistsError:
+        found = os.lstat(folder)
+    if not stat.S_ISDIR(found.st_mode):
+        reason = "is a link" if stat.S_ISLNK(found.st_mode) else "is no folder"
+    elif found.st_uid != os.geteuid():
+        reason = "belongs to another user"
+    elif found.st_mode & 0o022:
+        reason = "may be written by other users"
+    else:
+        return
+    raise InputError(f"{folder}: {reason}, so what is in it is not trusted; remove it, or choose another folder")
 
 
 def _open_lock(folder: str | os.PathLike[str]) -> int:

@@ -18,8 +18,15 @@ import pytest
 
 from geokit.core import private_folder as module
 from geokit.core.files import atomic_path
-from geokit.core.private_folder import FOREIGN_SECONDS, PREFIX, private_folder, temporary_parent
-from geokit.errors import FileAccessError
+from geokit.core.private_folder import (
+    FOREIGN_SECONDS,
+    PREFIX,
+    make_own,
+    private_folder,
+    remove_folder,
+    temporary_parent,
+)
+from geokit.errors import FileAccessError, InputError
 from tests.support.interrupts import interrupted, interrupts
 
 HOLDER = """
@@ -82,6 +89,37 @@ def test_only_own_folders_are_touched(tmp_path):
         pass
     assert all(path.exists() for path in kept)
     assert (outside / "data").read_text() == "x"
+
+
+def test_a_link_is_removed_and_what_it_leads_to_is_not(tmp_path):
+    outside, folder = tmp_path / "outside", tmp_path / "folder"
+    outside.mkdir()
+    (outside / "data").write_text("x")
+    folder.mkdir()
+    for link in (tmp_path / "link", folder / "link"):
+        link.symlink_to(outside)
+    remove_folder(tmp_path / "link")
+    remove_folder(folder)
+    assert list(tmp_path.iterdir()) == [outside]
+    assert (outside / "data").read_text() == "x"
+
+
+def test_a_folder_that_others_could_have_filled_is_not_taken_for_an_own_one(tmp_path, monkeypatch):
+    folder = tmp_path / "folder"
+    for _ in range(2):
+        make_own(folder)
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+    (tmp_path / "link").symlink_to(folder)
+    (tmp_path / "file").write_text("x")
+    for name, reason in (("link", "is a link"), ("file", "is no folder")):
+        with pytest.raises(InputError, match=rf"{name}: {reason}, .*; remove it"):
+            make_own(tmp_path / name)
+    folder.chmod(0o770)
+    with pytest.raises(InputError, match="may be written by other users"):
+        make_own(folder)
+    monkeypatch.setattr(os, "geteuid", lambda: -1)
+    with pytest.raises(InputError, match="belongs to another user"):
+        make_own(folder)
 
 
 def test_another_machine_s_folder_is_removed_only_after_a_day(tmp_path):

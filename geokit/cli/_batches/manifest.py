@@ -2,32 +2,41 @@
 
 Work is committed by its process (task.py), then its outputs are moved to their place, then its record is written, then
 its folder goes. Each of these steps can be repeated, so a batch that is killed between two of them goes on from there.
+
+What is found there may come from somebody else, as in an archive that was unpacked or a shared folder: nothing outside
+the folder of the batch is written or removed for it, and committed work that the recipe does not make is done again.
 """
 
 from __future__ import annotations
 
 import contextlib
 import fcntl
+import itertools
 import json
+import operator
 import os
 import shutil
+import stat
 import uuid
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from geokit.cli._batches.recipe import Recipe, output_names
+from geokit.cli._batches.recipe import Recipe, is_made, output_names, refusal_of
 from geokit.cli._batches.task import DONE, OUTPUTS, RECORD, WORK, key_of
 from geokit.cli._batches.worker import versions
 from geokit.core.files import atomic_path
-from geokit.core.private_folder import remove_folder
+from geokit.core.printable import printable
+from geokit.core.private_folder import make_own, remove_folder
 from geokit.core.running.thread_placement import Pool
 from geokit.errors import FileAccessError, FileFormatError, InputError
 
-__all__ = ["Manifest", "merge", "read_manifest", "write_failures"]
+__all__ = ["Manifest", "merge", "own_files", "read_manifest", "write_failures"]
 
 FORMAT = 1
 STAGING = ".geokit-batch"
+# What is of no use any more, in the staging area: only who writes the manifest puts folders there and removes them.
+GONE = "gone"
 # What is not needed again: of 100,000 files it would fill the memory.
 LEFT_OUT = ("steps", "notices")
 # Files whose outputs are moved at a time.
@@ -45,17 +54,21 @@ class Manifest:
         records: The last record of each input, without its steps and notices.
         staging: Folder in which work is done.
     Raises:
-        InputError: The folder holds the batch of another recipe, or another process writes it.
+        InputError: The folder holds the batch of another recipe, or another process writes it; one of the batch's own
+            files or folders there is a link, or somebody else could have filled it.
         FileAccessError: The folder cannot be made or written.
     """
 
     def __init__(self, folder: Path, recipe: Recipe, shard: tuple[int, int] | None) -> None:
         suffix = "" if shard is None else f"-{shard[0]}-of-{shard[1]}"
-        self.folder, self.path = folder, folder / f"manifest{suffix}.jsonl"
+        self.folder, self.path, self.recipe = folder, folder / f"manifest{suffix}.jsonl", recipe
         self.staging = folder / f"{STAGING}{suffix}"
         header = {"geokit_batch": FORMAT, "recipe": recipe.text, "recipe_hash": recipe.hash, "shard": shard}
         try:
             folder.mkdir(parents=True, exist_ok=True)
+            for path in (self.path, *own_files(folder, suffix)):
+                if path.is_symlink():
+                    raise InputError(f"{path}: is a link, which a batch does not follow; remove it")
             self.file = open(self.path, "a+b", buffering=0)  # noqa: SIM115, closed by close
         except OSError as error:
             raise FileAccessError(f"{folder}: cannot write there ({error.strerror}); choose another --out") from error
@@ -77,10 +90,11 @@ class Manifest:
                 self.file.truncate(end)  # a line that a killed process did not end
                 if found is None:
                     self._write([{**header, "versions": versions()}])
-                remove_folder(self.staging / WORK)
-                for name in (WORK, DONE):
-                    (self.staging / name).mkdir(parents=True, exist_ok=True)
-                self.add(json.loads((left / RECORD).read_text()) for left in sorted((self.staging / DONE).iterdir()))
+                for place in (self.staging, *(self.staging / name for name in (WORK, DONE, GONE))):
+                    make_own(place)
+                for left in (self.staging / GONE).iterdir():
+                    remove_folder(left)
+                self._go_on()
         except BaseException:
             self.__exit__(True)
             raise
@@ -90,6 +104,9 @@ class Manifest:
 
     def __exit__(self, error: object, *_: object) -> None:
         if error is None:
+            # As a whole first: tasks of a killed batch that still run fail at once, know why, and cannot commit.
+            with contextlib.suppress(OSError):
+                (self.staging / WORK).rename(self.staging / GONE / WORK)
             remove_folder(self.staging)
         self.file.close()
 
@@ -103,11 +120,20 @@ class Manifest:
         except OSError:
             return record["status"] != "done"
         before = record.get("size", found.st_size), record.get("mtime_ns", found.st_mtime_ns)
-        outputs = (self.folder / output["name"] for output in record.get("outputs", ()))
-        return before == (found.st_size, found.st_mtime_ns) and all(output.is_file() for output in outputs)
+        if before != (found.st_size, found.st_mtime_ns):
+            return False
+        return record["status"] != "done" or self._has_outputs(record)
 
-    def check_outputs(self, recipe: Recipe, todo: Iterable[str]) -> None:
-        """Refuse to replace files that this batch has not made.
+    def _has_outputs(self, record: dict[str, Any], *folders: Path) -> bool:
+        """Whether all that the recipe makes of an input is there."""
+        names = [output["name"] for output in record.get("outputs", ())]
+        if not all(any((folder / name).is_file() for folder in (self.folder, *folders)) for name in names):
+            return False
+        wanted = output_names(self.recipe, Path(record["input"]))
+        return wanted is not None and all(is_made(name, names) for name in wanted)
+
+    def check_outputs(self, todo: Iterable[str], force: bool) -> None:
+        """Refuse to replace files that this batch has not made, unless forced, and links that lead out of its folder.
 
         Raises:
             InputError: There is one.
@@ -115,8 +141,9 @@ class Manifest:
         for source in todo:
             record = self.records.get(source, {})
             own = {output["name"] for output in record.get("outputs", ())}
-            for name in output_names(recipe, Path(source)):
-                if name not in own and (self.folder / name).exists():
+            for name in output_names(self.recipe, Path(source)) or ():
+                self._target(name)
+                if not force and name not in own and (self.folder / name).exists():
                     raise InputError(f"{self.folder / name}: exists already; choose another --out, or add --force")
 
     def add(self, records: Iterable[dict[str, Any]]) -> None:
@@ -145,15 +172,39 @@ class Manifest:
         if not folder.is_dir():
             return False
         for output in record.get("outputs", ()):
-            target = self.folder / output["name"]
+            target = self._target(output["name"])
             target.parent.mkdir(parents=True, exist_ok=True)
             with contextlib.suppress(FileNotFoundError):  # moved before the batch was killed
                 os.replace(folder / OUTPUTS / output["name"], target)
         return True
 
+    def _target(self, name: str) -> Path:
+        """Where an output goes; folders on the way may be links inside the folder of the batch, not out of it."""
+        target = self.folder / name
+        if target.parent != self.folder:
+            real, root = os.path.realpath(target.parent), os.path.realpath(self.folder)
+            if os.path.commonpath((real, root)) != root:
+                raise InputError(f"{target.parent}: leads to {real}, out of {root}; remove that link")
+        return target
+
+    def _go_on(self) -> None:
+        """Record the work that was committed when a batch was killed; what is not of this recipe is done again."""
+        left = sorted((self.staging / DONE).iterdir())
+        found = [_committed(folder) for folder in left]
+        good = [self._is_ours(record, folder) for record, folder in zip(found, left, strict=True)]
+        self._pool.map(self._drop, itertools.compress(left, map(operator.not_, good)))
+        self.add(itertools.compress(found, good))
+
+    def _is_ours(self, record: dict[str, Any], folder: Path) -> bool:
+        if not record or key_of(record["input"]) != folder.name or record["status"] not in ("done", "failed"):
+            return False
+        if any(refusal_of(output["name"]) for output in record.get("outputs", ())):
+            return False
+        return record["status"] == "failed" or self._has_outputs(record, folder / OUTPUTS)
+
     def _drop(self, folder: Path) -> None:
         """Remove committed work: it leaves in one step, so that none without its record is ever found."""
-        away = self.staging / WORK / f"{folder.name}-{uuid.uuid4().hex[:8]}"
+        away = self.staging / GONE / f"{folder.name}-{uuid.uuid4().hex[:8]}"
         with contextlib.suppress(FileNotFoundError):
             folder.rename(away)
         shutil.rmtree(away, ignore_errors=True)
@@ -174,6 +225,33 @@ class Manifest:
                 raise
             reason = error.strerror or error
             raise FileAccessError(f"{self.folder}: writing failed ({reason}); mend that, and run it again") from error
+
+
+def own_files(folder: Path, suffix: str) -> tuple[Path, Path]:
+    """The list of failures and the report of a batch, or of a part of it."""
+    return folder / f"failures{suffix}.tsv", folder / f"report{suffix}.html"
+
+
+def _committed(folder: Path) -> dict[str, Any]:
+    """The record of a folder that a task has committed; {} if there is none, or a link in the folder."""
+    with contextlib.suppress(OSError, ValueError, RecursionError):
+        if not stat.S_ISDIR(folder.lstat().st_mode) or not stat.S_ISREG((folder / RECORD).lstat().st_mode):
+            return {}
+        if any(path.is_symlink() for path in folder.rglob("*")):
+            return {}
+        record = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+        return record if _is_record(record) else {}
+    return {}
+
+
+def _is_record(found: Any) -> bool:
+    """Whether a line of a manifest, or the record of committed work, is one: it may come from anybody."""
+    try:
+        outputs = [output["name"] + output["hash"] for output in found.get("outputs", ())]
+        texts = [found["input"], found["status"], *outputs, *([found["error"]["message"]] if "error" in found else [])]
+        return all(isinstance(text, str) for text in texts)
+    except (LookupError, TypeError, AttributeError):
+        return False
 
 
 def _facts(record: dict[str, Any]) -> list[Any]:
@@ -197,8 +275,10 @@ def _parsed(path: Path, left_out: Sequence[str] = ()) -> tuple[dict[str, Any] | 
                 found = json.loads(line)
                 if number == 1:
                     header = found if found["geokit_batch"] == FORMAT and found["recipe_hash"] else None
-                else:
+                elif _is_record(found):
                     records[found["input"]] = _without(found, left_out)
+                else:
+                    header = None
             except (ValueError, LookupError, TypeError):
                 header = None
             if header is None:
@@ -246,8 +326,12 @@ def merge(paths: Sequence[Path], target: Path) -> dict[str, dict[str, Any]]:
 
 
 def write_failures(records: dict[str, dict[str, Any]], path: Path) -> int:
-    """Write the inputs that are not done with their errors, separated by tabs; return how many there are."""
+    """Write the inputs that are not done with their errors, separated by tabs; return how many there are.
+
+    Backslashes are doubled, and what does not print is an escape sequence of Python: names may hold tabs and line ends.
+    """
     failed = {source: record["error"]["message"] for source, record in sorted(records.items()) if "error" in record}
+    rows = [(source, " ".join(message.split())) for source, message in failed.items()]
     with atomic_path(path) as part, open(part, "w", encoding="utf-8", errors="surrogateescape") as file:
-        file.writelines(f"{source}\t{' '.join(message.split())}\n" for source, message in failed.items())
+        file.writelines("\t".join(printable(cell.replace("\\", "\\\\")) for cell in row) + "\n" for row in rows)
     return len(failed)

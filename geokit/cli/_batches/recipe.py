@@ -8,7 +8,7 @@ import inspect
 import json
 import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -19,7 +19,17 @@ from geokit.cli._run import usage_message
 from geokit.core.files import in_one_line, require_file
 from geokit.errors import InputError
 
-__all__ = ["GLOBAL", "Recipe", "Step", "names_of", "output_names", "read_recipe"]
+__all__ = [
+    "GLOBAL",
+    "Recipe",
+    "Step",
+    "is_made",
+    "names_of",
+    "output_name",
+    "output_names",
+    "read_recipe",
+    "refusal_of",
+]
 
 # Verbs of people at a terminal, or without a file.
 LEFT_OUT = ("view", "guide", "doctor", "demo", "batch")
@@ -31,6 +41,8 @@ GLOBAL = ("memory-limit", "reference-folder", "cad-tolerance")
 SET_HERE = ("json", "force", "out", "jobs", "out-dir", "to")
 # Placeholders of a name that the batch makes.
 NAMING = ("stem", "folder")
+# Files that the batch writes itself.
+_OWN = re.compile(r"(manifest|failures|report)(-\d+-of-\d+)?\.(jsonl|tsv|html)", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -94,7 +106,7 @@ def read_recipe(path: Path) -> Recipe:
         if output in outputs[:step]:
             raise InputError(f"{path}: two steps have the output {output!r}; give each a name of its own")
     digest = hashlib.sha256(json.dumps([asdict(step) for step in read], sort_keys=True).encode())
-    for file in sorted({file for step in read for file in step.files if "{" not in file}):
+    for file in sorted({name for step in read for file in step.files if (name := _literal(file)) is not None}):
         digest.update(hashlib.sha256(Path(file).read_bytes()).digest())
     return Recipe(read, text, digest.hexdigest())
 
@@ -104,15 +116,61 @@ def names_of(source: Path) -> dict[str, str]:
     return {"stem": source.stem, "folder": source.parent.name, "input": str(source)}
 
 
-def output_names(recipe: Recipe, source: Path) -> list[str]:
-    """Names of the files that stay, relative to the folder of the batch."""
+def output_names(recipe: Recipe, source: Path) -> list[str] | None:
+    """Names of the files that stay, relative to the folder of the batch; None if this file fails for its name."""
     names = names_of(source)
-    return [step.output.format_map(names) for step in recipe.steps if step.output and step.keep]
+    with contextlib.suppress(InputError):
+        return [output_name(step.output, names) for step in recipe.steps if step.output and step.keep]
+    return None
+
+
+def output_name(output: str, names: Mapping[str, str]) -> str:
+    """The name of an output, relative to the folder of the batch: names of files come from anybody.
+
+    Raises:
+        InputError: The name leads out of that folder, is hidden, or is one of the batch's own.
+    """
+    name = output.format_map(names)
+    reason = refusal_of(name)
+    if reason:
+        raise InputError(
+            f"{names['input']}: its output would be {name!r}, which {reason}; rename the file, or change {output!r} in "
+            "the recipe"
+        )
+    return str(PurePosixPath(name))
+
+
+def is_made(name: str, files: Iterable[str]) -> bool:
+    """Whether an output is among files: itself, files in it, or its numbered pieces (mesh split)."""
+    path = PurePosixPath(name)
+    piece = str(path.with_name(f"{path.stem}-"))
+    return any(
+        file == name or file.startswith(f"{name}/") or (file.startswith(piece) and file.endswith(path.suffix))
+        for file in files
+    )
+
+
+def refusal_of(name: str) -> str:
+    """Why an output cannot have a name; "" if it can."""
+    path = PurePosixPath(name)
+    if path.is_absolute() or ".." in path.parts or not path.parts:
+        return "leads out of the folder of the batch"
+    if any(part.startswith(".") for part in path.parts):
+        return "is hidden, as it begins with a dot"
+    return "is a file of the batch itself" if _OWN.fullmatch(str(path)) else ""
+
+
+def _literal(file: str) -> str | None:
+    """The name of a file of the recipe; None if a placeholder is in it."""
+    try:
+        return file.format_map({})
+    except LookupError:
+        return None
 
 
 class _Reader:
     def __init__(self, path: Path, text: str, number: int) -> None:
-        self.path, self.lines, self.number, self.verb = path, text.splitlines(), number, ""
+        self.path, self.lines, self.number, self.verb = path, text.split("\n"), number, ""
 
     def refusal(self, key: str, message: str) -> InputError:
         """The error of a key: tomllib does not say where a value stood, so its line is looked for."""
@@ -121,7 +179,7 @@ class _Reader:
         if len(starts) >= self.number:
             first = starts[self.number - 1]
             last = (*starts, len(self.lines))[self.number]
-            named = re.compile(rf"\s*['\"]?{re.escape(key)}['\"]?\s*=") if key else re.compile("$^")
+            named = re.compile(rf"\s*['\"]?{re.escape(key)}['\"]?\s*=") if key else re.compile("(?!)")
             rows = [row for row in range(first, last) if named.match(self.lines[row])]
             place = f"{self.path}:{(rows or [first])[0] + 1}"
         step = f"step {self.number}" + (f" ({self.verb})" if self.verb else "")
@@ -171,10 +229,12 @@ class _Reader:
         found = []
         for file in files:
             self._fill("files", file, names)
-            if "{" not in file:
-                file = str(Path(self.path.parent, file).absolute())
-                if not Path(file).is_file():
-                    raise self.refusal("files", f"{file}: no such file; names are relative to the recipe's folder")
+            name = _literal(file)
+            if name is not None:
+                name = str(Path(self.path.parent, name).absolute())
+                if not Path(name).is_file():
+                    raise self.refusal("files", f"{name}: no such file; names are relative to the recipe's folder")
+                file = name.replace("{", "{{").replace("}", "}}")
             found.append(file)
         return tuple(found)
 
@@ -185,9 +245,9 @@ class _Reader:
             raise self.refusal("output", 'name what the step makes, as in "{stem}.nvdb"')
         if not any(f"{{{name}}}" in output for name in NAMING):
             raise self.refusal("output", f"{output!r} is the same for all files; write {{stem}} or {{folder}} into it")
-        made = PurePosixPath(self._fill("output", output, dict.fromkeys(NAMING, "a")))
-        if made.is_absolute() or ".." in made.parts:
-            raise self.refusal("output", f"{output!r} leads out of the folder of the batch; use a name inside it")
+        reason = refusal_of(self._fill("output", output, dict.fromkeys(NAMING, "a")))
+        if reason:
+            raise self.refusal("output", f"{output!r} {reason}; use another name, inside it")
 
     def _fill(self, key: str, text: str, names: dict[str, str]) -> str:
         try:

@@ -24,7 +24,7 @@ TASKS_PER_SECOND = 500.0
 TASK_SECONDS = 0.5
 # The last tasks are small, so that no worker has much to do when the others have ended.
 SHARE = 4
-# Times that a file is given to other workers, when its worker has no room, or other versions.
+# Times that a file is asked for again, when its worker has no room, or other versions, or its folder went away.
 MOVES = 3
 # A cluster without workers is given up after twice this time [s].
 LONELY = 60.0
@@ -68,7 +68,7 @@ def remote_workers(address: str, jobs: int | None, staging: str) -> Iterator[Wor
         staging: A folder that they must see.
     Raises:
         MissingDependencyError: Dask is not installed.
-        WorkerError: No scheduler or no worker answers, or a worker has other versions or does not see the folder.
+        WorkerError: No scheduler or no worker answers, or a worker has other versions or cannot write to the folder.
     """
     with connected(address, jobs) as client:
         for worker, found in client.run(about_here, staging, on_error="return").items():
@@ -112,7 +112,9 @@ def _refusal(found: dict[str, Any]) -> str:
             "install the same there, or stop that worker"
         )
     return (
-        "" if found["sees"] else f"{where}: does not see the folder of the batch; use an --out that all machines share"
+        ""
+        if found["sees"]
+        else f"{where}: cannot write to the folder of the batch; use an --out that all machines share"
     )
 
 
@@ -167,7 +169,7 @@ def run_all(
             for future in futures:
                 group = flying.pop(future)
                 for record in _records(future, group, todo):
-                    if record["status"] in ("no room", "refused"):
+                    if record["status"] in ("no room", "refused", "lost"):
                         problem = _moved(record, moves, without, note) or problem
                         todo.append([record["input"]])
                     else:
@@ -217,13 +219,14 @@ def _records(future: Any, group: list[str], todo: deque[list[str]]) -> list[dict
 def _moved(
     record: dict[str, Any], moves: dict[str, int], without: set[str], note: Callable[[str], None]
 ) -> GeokitError | None:
-    """Take a worker out that cannot do any file; the error if that ends the batch."""
+    """Take a worker out that cannot do any file, but not for a file that is lost; the error if that ends the batch."""
     refused = record["status"] == "refused"
     message = _refusal(record) if refused else record["error"]["message"]
     moves[record["input"]] = moves.get(record["input"], 0) + 1
-    if not record["worker"] or moves[record["input"]] > MOVES:
+    lost = record["status"] == "lost"
+    if moves[record["input"]] > MOVES or not (record["worker"] or lost):
         return WorkerError(message) if refused else FileAccessError(message)
-    if record["worker"] not in without:
+    if not lost and record["worker"] not in without:
         without.add(record["worker"])
         note(f"{record['worker']} gets no more files: {message}")
     return None

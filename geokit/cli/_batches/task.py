@@ -2,6 +2,10 @@
 
 A job works in a folder of its own. Its last act is to rename that folder to one that is named by the input: this is
 the commit. Of two processes that do the same file, the first one's work stays and the other's is dropped.
+
+The folders of jobs are in a private one of the process, whose lock the system frees when the process ends. So the
+processes that start later, also those of a batch that goes on after a kill, remove what is surely dead, and nothing
+that is alive: tasks of a Dask cluster outlive their batch.
 """
 
 from __future__ import annotations
@@ -13,6 +17,7 @@ import io
 import json
 import os
 import queue
+import re
 import shutil
 import socket
 import sys
@@ -27,11 +32,12 @@ from typing import Any
 
 from geokit.accuracy.trials.peak_memory import reset_high_water, resident_status
 from geokit.cli._app import build_app, build_commands
-from geokit.cli._batches.recipe import GLOBAL, Step, names_of
+from geokit.cli._batches.recipe import GLOBAL, Step, is_made, names_of, output_name
 from geokit.cli._batches.worker import versions
 from geokit.cli._console import at_end
 from geokit.cli._run import show_warning, usage_message
 from geokit.core.files import in_one_line, require_file
+from geokit.core.private_folder import private_folder
 from geokit.core.running.answers import take_stdout
 from geokit.errors import GeokitError
 
@@ -41,10 +47,16 @@ __all__ = ["DONE", "OUTPUTS", "RECORD", "WORK", "key_of", "main", "run_task"]
 WORK, DONE, OUTPUTS, RECORD = "work", "done", "outputs", "record.json"
 # No file is to blame for these: the machine is.
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
+# Another process was first; the folder of the job is not there any more.
+TAKEN, GONE = (errno.ENOTEMPTY, errno.EEXIST), (errno.ENOENT, errno.ESTALE)
 # Longest notices and summaries that a manifest keeps [characters].
 LONGEST = 2000
 # An idle process ends after this time [s].
 PATIENCE = 60.0
+
+# The private folder of this process, by the staging folder of the batch that it works for.
+_place: dict[Path, Path] = {}
+_held = contextlib.ExitStack()
 
 
 def key_of(source: str) -> str:
@@ -61,21 +73,33 @@ def hash_of(path: Path) -> str:
     return digest.hexdigest()
 
 
+def _working_folder(staging: Path) -> Path:
+    if staging not in _place or not _place[staging].is_dir():
+        _held.close()
+        _place.clear()
+        _place[staging] = _held.enter_context(private_folder(staging / WORK))
+    return _place[staging]
+
+
 def run_task(steps: list[Step], source: str, staging: Path) -> dict[str, Any]:
     """Run the steps on one file, and commit its folder.
 
     Returns:
-        The record of the file: "done", "failed" with its error, or "no room", which is not committed.
+        The record of the file: "done", "failed" with its error, or "no room" or "lost" (somebody has removed its
+        folder), which are not committed.
     """
     started, key = time.perf_counter(), key_of(source)
-    done, folder = staging / DONE / key, staging / WORK / f"{key}-{uuid.uuid4().hex[:8]}"
+    done, folder = staging / DONE / key, None
     with contextlib.suppress(OSError):  # done by a worker that was lost with its answer
         return dict(json.loads((done / RECORD).read_text(encoding="utf-8")))
     reset_high_water()
     record: dict[str, Any] = {"input": source, "status": "done", "host": socket.gethostname(), "versions": versions()}
     try:
-        (folder / OUTPUTS).mkdir(parents=True)
+        folder = _working_folder(staging) / f"{key}-{uuid.uuid4().hex[:8]}"
+        folder.mkdir()
+        (folder / OUTPUTS).mkdir()
         _run_steps(steps, Path(source), folder, record)
+        (folder / OUTPUTS).stat()  # a folder goes away as a whole, so what failed for its absence finds it absent
         record["seconds"] = round(time.perf_counter() - started, 4)
         record["peak_bytes"] = resident_status("VmHWM")
         if record["status"] == "no room":
@@ -87,12 +111,17 @@ def run_task(steps: list[Step], source: str, staging: Path) -> dict[str, Any]:
         folder.rename(done)
         return record
     except OSError as error:
-        if error.errno in (errno.ENOTEMPTY, errno.EEXIST):
-            return dict(json.loads((done / RECORD).read_text(encoding="utf-8")))
-        message = f"{staging.parent}: {error.strerror or error}; make room there, and run the batch again"
-        return {**record, "status": "no room", "error": {"type": "FileAccessError", "message": message}}
+        if error.errno in TAKEN:
+            with contextlib.suppress(FileNotFoundError):  # recorded meanwhile
+                return dict(json.loads((done / RECORD).read_text(encoding="utf-8")))
+        status, message = "no room", f"{staging.parent}: {error.strerror or error}; make room there, and go on"
+        if error.errno in (*TAKEN, *GONE):
+            status, message = "lost", f"{staging}: others remove what tasks write there; end that, and go on"
+        message += " with the same command"
+        return {**record, "status": status, "error": {"type": "FileAccessError", "message": message}}
     finally:
-        shutil.rmtree(folder, ignore_errors=True)
+        if folder is not None:
+            shutil.rmtree(folder, ignore_errors=True)
 
 
 def _run_steps(steps: list[Step], source: Path, folder: Path, record: dict[str, Any]) -> None:
@@ -107,13 +136,19 @@ def _run_steps(steps: list[Step], source: Path, folder: Path, record: dict[str, 
                 found = require_file(source).stat()
                 record.update(size=found.st_size, mtime_ns=found.st_mtime_ns, hash=hash_of(source))
             if step.output is not None:
-                made = folder / (OUTPUTS if step.keep else "scratch") / step.output.format_map(names)
-                made.parent.mkdir(parents=True, exist_ok=True)
+                name = output_name(step.output, names)
+                made = folder / (OUTPUTS if step.keep else "scratch")
+                # One by one: with parents, a folder that has gone away would come back.
+                for part in name.split("/"):
+                    made.mkdir(exist_ok=True)
+                    made /= part
                 target = str(made)
             with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(notices), at_end:
                 code = _command(step)({**names, "target": target or ""})
             if code:
                 raise GeokitError(f"ended with exit code {code}")
+            if target is not None and not made.is_file() and not is_made(name, _files(made.parents[name.count("/")])):
+                raise GeokitError(f"{source}: the step made no {name}; change its output in the recipe")
             names["previous"] = names[f"step{number}"] = target or names["previous"]
         except (Exception, SystemExit) as error:
             record.update(_failure(error, number, step, folder))
@@ -123,27 +158,32 @@ def _run_steps(steps: list[Step], source: Path, folder: Path, record: dict[str, 
     if notices.getvalue():
         record["notices"] = _scrubbed(notices.getvalue(), folder)[-LONGEST:]
     if record["status"] == "done":
-        kept = sorted(path for path in (folder / OUTPUTS).rglob("*") if path.is_file())
+        kept = folder / OUTPUTS
         record["outputs"] = [
-            {"name": path.relative_to(folder / OUTPUTS).as_posix(), "bytes": path.stat().st_size, "hash": hash_of(path)}
-            for path in kept
+            {"name": name, "bytes": (kept / name).stat().st_size, "hash": hash_of(kept / name)} for name in _files(kept)
         ]
+
+
+def _files(folder: Path) -> list[str]:
+    """Names of all files in a folder and below, relative to it."""
+    return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
 
 
 @lru_cache
 def _command(step: Step) -> Callable[[dict[str, str]], Any]:
     """The command of a step, as a function of the names of a file: parsing takes longer than small files do."""
-    line = step.words(_Marks(), "{target}" if step.output else None)
+    marks = _Marks()
+    line = step.words(marks, marks["target"] if step.output else None)
     if any(word[2:].partition("=")[0] in GLOBAL for word in step.options):
         return lambda names: build_app()(
-            [word.format_map(names) if "{" in word else word for word in line], exit_on_error=False, print_error=False
+            [_filled(word, names) for word in line], exit_on_error=False, print_error=False
         )
     command, bound, _ = build_commands().parse_args(line, exit_on_error=False, print_error=False)
 
     def filled(value: Any, names: dict[str, str]) -> Any:
         if isinstance(value, (list, tuple)) and any(isinstance(item, Path) for item in value):
             return type(value)(filled(item, names) for item in value)
-        return Path(str(value).format_map(names)) if isinstance(value, Path) and "{" in str(value) else value
+        return Path(_filled(str(value), names)) if isinstance(value, Path) else value
 
     def call(names: dict[str, str]) -> Any:
         options = {name: filled(value, names) for name, value in bound.kwargs.items()}
@@ -153,10 +193,14 @@ def _command(step: Step) -> Callable[[dict[str, str]], Any]:
 
 
 class _Marks(dict[str, str]):
-    """Names that leave placeholders as they are."""
+    """Marks in place of names, of a character that no name of a file has."""
 
     def __missing__(self, key: str) -> str:
-        return f"{{{key}}}"
+        return f"\0{key}\0"
+
+
+def _filled(text: str, names: dict[str, str]) -> str:
+    return re.sub("\0(.*?)\0", lambda found: names[found[1]], text)
 
 
 def _scrubbed(text: str, folder: Path) -> str:

@@ -16,6 +16,7 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 import weakref
 from functools import cache
 from pathlib import Path
@@ -44,12 +45,17 @@ def versions() -> dict[str, str]:
 
 
 def about_here(staging: str) -> dict[str, Any]:
-    """The versions of this machine, whether it sees the folder of the batch, and its address on a cluster."""
+    """The versions of this machine, whether it may write to the folder of the batch, and its address on a cluster."""
     worker = ""
     if "distributed" in sys.modules:
         with contextlib.suppress(ValueError):  # not on a cluster
             worker = sys.modules["distributed"].get_worker().address
-    return {"versions": versions(), "host": socket.gethostname(), "sees": Path(staging).is_dir(), "worker": worker}
+    return {
+        "versions": versions(),
+        "host": socket.gethostname(),
+        "sees": os.access(staging, os.W_OK | os.X_OK),
+        "worker": worker,
+    }
 
 
 def set_aside(source: str, reason: str) -> dict[str, Any]:
@@ -71,7 +77,7 @@ def run_files(batch: dict[str, Any], sources: list[str]) -> list[dict[str, Any]]
     """Run the steps of a batch on some files.
 
     Args:
-        batch: "steps", "staging", "versions", "memory" [bytes] or None, "threads".
+        batch: "steps", "staging", "versions", "memory" [bytes] and "seconds" or None, "threads".
         sources: Paths of the files.
     Returns:
         A record of each file; its status is "refused" where this machine has other versions than the batch.
@@ -112,7 +118,7 @@ class _Process:
     def run(self, batch: dict[str, Any], source: str) -> dict[str, Any]:
         """The record of a file."""
         job = {"steps": batch["steps"], "staging": batch["staging"], "input": source}
-        end = ""
+        end = error = ""
         for _ in range(0 if self.closed else TRIES):
             if self.running is not None and self.running.poll() is not None:
                 self.stop()  # it was idle for long
@@ -124,19 +130,22 @@ class _Process:
                 if self.closed:  # since it was looked at; nobody else ends this process
                     self.stop()
                     break
-            answer, end = self._ask(json.dumps(job).encode() + b"\n", batch["memory"])
+            answer, end, error = self._ask(json.dumps(job).encode() + b"\n", batch["memory"], batch["seconds"])
             if answer:
                 return dict(json.loads(answer))
             self.stop()
-            if end.startswith("needs") or self.closed:
+            if error or self.closed:
                 break
         else:
             return set_aside(source, f"{end} in {TRIES} tries")
-        error = {"type": "DeviceMemoryError", "message": f"{source}: {end}"}
-        return {"input": source, "status": "failed", "error": error}
+        return {
+            "input": source,
+            "status": "failed",
+            "error": {"type": error or "WorkerError", "message": f"{source}: {end}"},
+        }
 
-    def _ask(self, line: bytes, memory: int | None) -> tuple[bytes, str]:
-        """The answer to a job, or why there is none."""
+    def _ask(self, line: bytes, memory: int | None, seconds: float | None) -> tuple[bytes, str, str]:
+        """The answer to a job, or why there is none, and the type of that error if it is the file's."""
         running = self.running
         assert running is not None
         assert running.stdin is not None
@@ -144,19 +153,28 @@ class _Process:
         with contextlib.suppress(BrokenPipeError):
             running.stdin.write(line)
             running.stdin.flush()
-        while memory is not None and not select.select([running.stdout], [], [], LOOK)[0]:
-            used = _resident(running.pid)
-            if used > memory:
-                return b"", (
+        start, limited = time.monotonic(), memory is not None or seconds is not None
+        while limited and not select.select([running.stdout], [], [], LOOK)[0]:
+            used = 0 if memory is None else _resident(running.pid)
+            if memory is not None and used > memory:
+                return (
+                    b"",
                     f"needs more than the {memory >> 20} MiB of --task-memory (it has {used >> 20} MiB); raise it, "
-                    "or choose a larger voxel size"
+                    "or choose a larger voxel size",
+                    "DeviceMemoryError",
+                )
+            if seconds is not None and time.monotonic() - start > seconds:
+                return (
+                    b"",
+                    f"takes more than the {seconds:g} s of --task-seconds; raise it, or mend the file",
+                    "WorkerError",
                 )
         answer = running.stdout.readline()
         if answer.endswith(b"\n"):
-            return answer, ""
+            return answer, "", ""
         code = running.wait()
         reason = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
-        return b"", f"its process ended by {reason}"
+        return b"", f"its process ended by {reason}", ""
 
 
 def _resident(leader: int) -> int:

@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from geokit.cli.batch import _sources
+
 pytestmark = pytest.mark.process
 
 SAME = ("input", "status", "hash", "size", "outputs")
@@ -127,6 +129,12 @@ def test_a_process_may_not_have_more_memory_than_allowed(start, corners, tmp_pat
     assert not list(out.glob("*.nvdb"))
 
 
+def test_a_list_of_files_is_split_at_newlines_only(tmp_path) -> None:
+    listed, names = tmp_path / "list.txt", ["/a\u2028b", "/c\u0085d", "/e\ff", "/g\rh", "/i\udce4j", "/k"]
+    listed.write_bytes("\n".join([*names[:-1], "/k\r", ""]).encode("utf-8", "surrogateescape"))
+    assert list(_sources([], listed)) == names
+
+
 def test_an_interrupt_ends_all(start, corners, recipe: Path, tmp_path: Path) -> None:
     batch = start(recipe, *corners(200), "--out", tmp_path / "out", "--jobs", "2")
     while not list(tmp_path.glob("out/*.off")):
@@ -163,6 +171,7 @@ def test_bad_arguments_are_named(start, corners, recipe: Path, tmp_path: Path) -
         ((recipe, *sources, "--shard", "4/3"), ["--shard: '4/3'", "3/64"]),
         ((recipe, *sources, "--jobs", "0"), ["--jobs"]),
         ((recipe, *sources, "--task-memory", "0"), ["--task-memory"]),
+        ((recipe, *sources, "--task-seconds", "0"), ["--task-seconds: 0 is no time", "above 0"]),
         ((recipe, *sources, *twin), ["corner000.off", "{folder}/{stem}"]),
         ((tmp_path / "none.toml", *sources), ["none.toml: no such file"]),
     ]:

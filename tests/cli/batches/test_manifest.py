@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 
 from geokit.cli._batches import manifest as manifest_module
-from geokit.cli._batches.manifest import Manifest, merge, read_manifest, write_failures
+from geokit.cli._batches.manifest import GONE, STAGING, Manifest, merge, read_manifest, write_failures
 from geokit.cli._batches.recipe import read_recipe
-from geokit.cli._batches.task import DONE, OUTPUTS, RECORD, key_of
+from geokit.cli._batches.task import DONE, OUTPUTS, RECORD, WORK, key_of
 from geokit.errors import FileAccessError, FileFormatError, InputError
 from tests.support.effort import of_all
 from tests.support.interrupts import interrupted
@@ -22,10 +22,13 @@ from tests.support.interrupts import interrupted
 PARTS = ("manifest.py", "shutil.py", "thread_placement.py", "interrupts.py", "contextlib.py")
 
 
-def _record(source: Path, status: str = "done", output: str = "a.off") -> dict[str, Any]:
+def _record(source: Path, status: str = "done") -> dict[str, Any]:
     found = source.stat()
     facts = {"input": str(source), "status": status, "size": found.st_size, "mtime_ns": found.st_mtime_ns, "hash": "h"}
-    return {**facts, **({"outputs": [{"name": output, "bytes": 1, "hash": "o"}]} if status == "done" else {})}
+    return {
+        **facts,
+        **({"outputs": [{"name": f"{source.stem}.off", "bytes": 1, "hash": "o"}]} if status == "done" else {}),
+    }
 
 
 def _commit(staging: Path, record: dict[str, Any]) -> None:
@@ -56,7 +59,9 @@ def test_an_interrupt_at_any_call_is_gone_on_from(tmp_path, corners, recipe, rec
         going_on = interrupted(number, block, PARTS)
         with Manifest(out, read, None) as manifest:
             done = manifest.is_done(str(source), False)
-        assert sorted(path.name for path in out.iterdir()) == (["a.off"] if done else []) + ["manifest.jsonl"], number
+        assert sorted(path.name for path in out.iterdir()) == (["corner000.off"] if done else []) + [
+            "manifest.jsonl"
+        ], number
         assert len(records_in(out / "manifest.jsonl")) == done, number
         if not going_on:
             break
@@ -101,8 +106,8 @@ def test_killed_at_any_moment(tmp_path, corners, recipe, records_in, monkeypatch
     with Manifest(out, read, None) as again:
         assert again.is_done(str(source), retry=True)
     assert [record["input"] for record in records_in(out / "manifest.jsonl")] == [str(source)]
-    assert (out / "a.off").read_text() == "x"
-    assert sorted(path.name for path in out.iterdir()) == ["a.off", "manifest.jsonl"]
+    assert (out / "corner000.off").read_text() == "x"
+    assert sorted(path.name for path in out.iterdir()) == ["corner000.off", "manifest.jsonl"]
 
 
 def test_a_line_that_was_not_ended_is_dropped(tmp_path, corners, recipe, records_in) -> None:
@@ -136,7 +141,7 @@ def test_what_has_changed_is_done_again(tmp_path, corners, recipe) -> None:
         assert [manifest.is_done(str(source), retry=True) for source in sources] == [True, False]
         sources[1].write_text("v 1 2 3\n")
         assert not manifest.is_done(str(sources[1]), retry=False)
-        (out / "a.off").unlink()
+        (out / "corner000.off").unlink()
         assert not manifest.is_done(str(sources[0]), retry=False)
 
 
@@ -145,7 +150,7 @@ def test_files_of_others_are_not_replaced(tmp_path, corners, recipe) -> None:
     with Manifest(out, read, None) as manifest:
         (out / "corner000.off").write_text("mine")
         with pytest.raises(InputError, match=r"corner000\.off: exists already.*--out.*--force"):
-            manifest.check_outputs(read, [str(source)])
+            manifest.check_outputs([str(source)], force=False)
         with pytest.raises(InputError, match="another batch is writing it"):
             Manifest(out, read, None)
 
@@ -210,3 +215,134 @@ def test_failures_are_listed_with_their_error(tmp_path: Path) -> None:
     records = {"/b": {"error": {"message": "b is\n bad"}}, "/a": {"error": {"message": "a is"}}, "/c": {}}
     assert write_failures(records, tmp_path / "failures.tsv") == 2
     assert (tmp_path / "failures.tsv").read_text() == "/a\ta is\n/b\tb is bad\n"
+
+
+def test_what_does_not_print_is_escaped_in_the_list_of_failures(tmp_path: Path) -> None:
+    names = ["/a\tb", "/c\nd", "/e\\f", "/g\x1b[31m", "/h\u2028i", "/j\udce4k", "/l m"]
+    records = {name: {"error": {"message": f"{name}: is bad"}} for name in names}
+    assert write_failures(records, tmp_path / "failures.tsv") == len(names)
+    lines = (tmp_path / "failures.tsv").read_bytes().decode("utf-8", "surrogateescape").split("\n")
+    cells = [line.split("\t")[0] for line in lines[:-1]]
+    assert cells == ["/a\\tb", "/c\\nd", "/e\\\\f", "/g\\x1b[31m", "/h\\u2028i", "/j\udce4k", "/l m"]
+    assert all(len(line.split("\t")) == 2 for line in lines[:-1])
+
+
+@pytest.mark.parametrize("name", ["", WORK, DONE, GONE])
+def test_a_link_in_place_of_a_folder_of_the_batch_is_refused(tmp_path, recipe, name: str) -> None:
+    read, out, victim = read_recipe(recipe), tmp_path / "out", tmp_path / "victim"
+    (victim / "sub").mkdir(parents=True)
+    (victim / "sub" / "keep.txt").write_text("mine")
+    link = out / STAGING / name
+    link.parent.mkdir(parents=True, mode=0o700)
+    link.symlink_to(victim)
+    with pytest.raises(InputError, match=rf"{link.name}: is a link.*remove it"):
+        Manifest(out, read, None)
+    assert (victim / "sub" / "keep.txt").read_text() == "mine"
+    assert len(list(victim.iterdir())) == 1
+
+
+@pytest.mark.parametrize("name", ["manifest.jsonl", "failures.tsv", "report.html"])
+def test_a_link_in_place_of_a_file_of_the_batch_is_refused(tmp_path, recipe, name: str) -> None:
+    victim, out = tmp_path / "keep.txt", tmp_path / "out"
+    victim.write_text("mine, without a line end")
+    out.mkdir()
+    (out / name).symlink_to(victim)
+    with pytest.raises(InputError, match=rf"{name}: is a link.*remove it"):
+        Manifest(out, read_recipe(recipe), None)
+    assert victim.read_text() == "mine, without a line end"
+
+
+@pytest.mark.parametrize(
+    "fault", ["..", "absolute", "other name", "none", "own", "link", "link above", "record", "no text", "other key"]
+)
+def test_committed_work_that_the_recipe_does_not_make_is_done_again(tmp_path, corners, recipe, fault: str) -> None:
+    (source,), read, out, victim = corners(1), read_recipe(recipe), tmp_path / "out", tmp_path / "victim"
+    victim.mkdir()
+    (victim / "keep.txt").write_text("mine")
+    (victim / "corner000.off").write_text("mine too")
+    names = {"..": "../victim/keep.txt", "absolute": f"{victim}/keep.txt", "other name": "b.off", "own": "report.html"}
+    record = _record(source)
+    folder = out / STAGING / DONE / key_of(str(source))
+    (folder / OUTPUTS).mkdir(parents=True)
+    for made in (out / STAGING, out / STAGING / DONE):
+        made.chmod(0o700)
+    (folder / OUTPUTS / "corner000.off").write_text("forged")
+    if fault in names:
+        record["outputs"].append({"name": names[fault], "bytes": 1, "hash": "o"})
+        if fault != "other name":
+            (folder / OUTPUTS / "keep.txt").write_text("forged")
+    if fault == "none":
+        record["outputs"] = []
+    if fault == "link":
+        (folder / OUTPUTS / "more").symlink_to(victim)
+    if fault == "no text":
+        record["outputs"][0]["name"] = 3
+    if fault == "other key":
+        folder = folder.rename(folder.with_name("0" * 24))
+    if fault == "link above":
+        (folder / OUTPUTS / "corner000.off").unlink()
+        (folder / OUTPUTS).rmdir()
+        (folder / OUTPUTS).symlink_to(victim)
+    (folder / RECORD).write_text("[" * 9000 if fault == "record" else json.dumps(record))
+    with Manifest(out, read, None) as manifest:
+        assert manifest.records == {}
+        assert not manifest.is_done(str(source), retry=False)
+        assert list((manifest.staging / DONE).iterdir()) == []
+    assert sorted(path.name for path in out.iterdir()) == ["manifest.jsonl"]
+    assert {path.name: path.read_text() for path in victim.iterdir()} == {
+        "keep.txt": "mine",
+        "corner000.off": "mine too",
+    }
+
+
+def test_outputs_do_not_follow_a_link_out_of_the_folder(tmp_path, corners, recipe) -> None:
+    recipe.write_text(recipe.read_text().replace("{stem}", "{folder}/{stem}"))
+    (source,), read, out, victim = corners(1), read_recipe(recipe), tmp_path / "out", tmp_path / "victim"
+    victim.mkdir()
+    (out / "inside").mkdir(parents=True)
+    with Manifest(out, read, None) as manifest:
+        (out / "in").symlink_to(victim)
+        for force in (False, True):
+            with pytest.raises(InputError, match=r"out/in: leads to .*victim, out of .*out; remove that link"):
+                manifest.check_outputs([str(source)], force)
+        record = {**_record(source), "outputs": [{"name": "in/corner000.off", "bytes": 1, "hash": "o"}]}
+        (manifest.staging / DONE / key_of(str(source)) / OUTPUTS / "in").mkdir(parents=True)
+        with pytest.raises(InputError, match="remove that link"):
+            manifest.add([record])
+        (out / "in").unlink()
+        (out / "in").symlink_to("inside")
+        manifest.check_outputs([str(source)], force=False)
+    assert list(victim.iterdir()) == []
+
+
+def test_done_without_an_output_is_not_done(tmp_path, corners, recipe) -> None:
+    (source,), out = corners(1), tmp_path / "out"
+    with Manifest(out, read_recipe(recipe), None) as manifest:
+        manifest.records[str(source)] = {**_record(source), "outputs": []}
+        assert not manifest.is_done(str(source), retry=False)
+
+
+def test_a_manifest_of_another_shape_is_named(tmp_path, recipe) -> None:
+    with Manifest(tmp_path, read_recipe(recipe), None) as manifest:
+        path = manifest.path
+    header = path.read_text()
+    for line in (
+        "[]",
+        '{"input": "/a"}',
+        '{"input": "/a", "status": 3}',
+        '{"input": "/a", "status": "done", "outputs": [1]}',
+    ):
+        path.write_text(f"{header}{line}\n")
+        with pytest.raises(FileFormatError, match="line 2 is none"):
+            read_manifest(path)
+
+
+def test_tasks_of_a_killed_batch_keep_their_folder_until_the_batch_that_goes_on_ends(tmp_path, recipe) -> None:
+    out, read = tmp_path / "out", read_recipe(recipe)
+    folder = out / STAGING / WORK / ".geokit-1-2" / "task"
+    killed = Manifest(out, read, None)
+    folder.mkdir(parents=True)
+    killed.__exit__(Killed())
+    with Manifest(out, read, None):
+        assert folder.is_dir()
+    assert [path.name for path in out.iterdir()] == ["manifest.jsonl"]

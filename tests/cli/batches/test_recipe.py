@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from geokit.cli._batches.recipe import names_of, output_names, read_recipe
+from geokit.cli._batches.recipe import is_made, names_of, output_name, output_names, read_recipe
 from geokit.errors import FileAccessError, InputError
 
 GOOD = """\
@@ -111,6 +111,7 @@ STEP = '[[step]]\nverb = "volume offset"\noutput = "{stem}.vdb"\ndistance = 1\n'
         (STEP.replace("{stem}", "{steam}{stem}"), [":3: ", "placeholder", "{folder}"]),
         (STEP.replace("{stem}", "../{stem}"), [":3: ", "leads out"]),
         (STEP.replace("{stem}", "/{stem}"), [":3: ", "leads out"]),
+        (STEP.replace("{stem}", ".{stem}"), [":3: ", "is hidden"]),
         (STEP.replace('output = "{stem}.vdb"', ""), [":1: ", "output: name what the step makes"]),
         (STEP + STEP, ["two steps have the output '{stem}.vdb'"]),
     ],
@@ -125,3 +126,45 @@ def test_what_is_wrong_is_named(tmp_path: Path, text: str, words: list[str]) -> 
 def test_a_recipe_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(FileAccessError, match="no such file"):
         read_recipe(tmp_path / "none.toml")
+
+
+@pytest.mark.parametrize(
+    ("output", "source", "reason"),
+    [
+        ("{folder}/{stem}.ply", "/a.obj", "leads out"),
+        ("{stem}/mesh.ply", "/in/...obj", "leads out"),
+        ("x/{folder}/mesh.ply", "/in/../a.obj", "leads out"),
+        ("{stem}/mesh.ply", "/in/.geokit-batch.obj", "is hidden"),
+        ("{stem}.ply", "/in/.a.obj", "is hidden"),
+        ("{stem}.html", "/in/report.glb", "is a file of the batch itself"),
+        ("{stem}.tsv", "/in/Failures-3-of-64.ply", "is a file of the batch itself"),
+        ("{stem}.jsonl", "/in/manifest.ply", "is a file of the batch itself"),
+    ],
+)
+def test_a_file_may_not_name_an_output_that_is_none(tmp_path: Path, output: str, source: str, reason: str) -> None:
+    with pytest.raises(InputError) as error:
+        output_name(output, names_of(Path(source)))
+    for word in (f"{source}: its output would be ", reason, "rename the file", repr(output)):
+        assert word in str(error.value)
+    recipe = _read(tmp_path, f'[[step]]\nverb = "convert"\noutput = "{output}"\n')
+    assert output_names(recipe, Path(source)) is None
+    assert output_names(recipe, Path("/in/b.obj")) == [output.format(stem="b", folder="in")]
+
+
+def test_what_counts_as_the_output_of_a_step() -> None:
+    for files in (["a/b.ply"], ["a/b.ply/c"], ["x", "a/b-03.ply"]):
+        assert is_made("a/b.ply", files)
+    for files in ([], ["b.ply"], ["a/b.png"], ["a/bc.ply"], ["a/c/b.ply"]):
+        assert not is_made("a/b.ply", files)
+
+
+def test_names_of_files_of_a_recipe_may_hold_braces(tmp_path: Path) -> None:
+    folder = tmp_path / "{x}"
+    folder.mkdir()
+    points = folder / "p{}.csv"
+    points.write_text("x,y,z\n0,0,0\n")
+    text = '[[step]]\nverb = "query closest"\nfiles = ["{input}", "p{{}}.csv"]\noutput = "{stem}.csv"\n'
+    recipe = _read(folder, text)
+    assert recipe.steps[0].words({"input": "a.obj"}, None)[-2:] == ["a.obj", str(points)]
+    points.write_text("x,y,z\n0,0,1\n")
+    assert _read(folder, text).hash != recipe.hash

@@ -125,3 +125,19 @@ def test_an_error_of_a_task_ends_the_batch_and_what_waits_is_canceled() -> None:
     with pytest.raises(ZeroDivisionError, match="of the task"):
         run_all({}, NAMES, Workers(submit, lambda: 3, 1.0), print, print)
     assert futures.get().cancelled()
+
+
+def test_a_file_whose_folder_went_away_is_asked_for_again() -> None:
+    asked: Counter[str] = Counter()
+
+    def do(worker: str, sources: list[str]) -> list[dict[str, Any]]:
+        asked.update(sources)
+        lost = {"status": "lost", "worker": worker, "error": {"message": "/out: others remove"}}
+        return [{**lost, "input": s} if asked[s] <= LOSSES and s == NAMES[3] else _done(worker, s) for s in sources]
+
+    LOSSES = schedule.MOVES
+    assert _run(do, [GOOD]) == (Counter(NAMES), [])
+    asked.clear()
+    LOSSES += 1
+    with pytest.raises(FileAccessError, match="others remove"):
+        _run(do, [""])

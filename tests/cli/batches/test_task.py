@@ -6,6 +6,7 @@ import errno
 import hashlib
 import json
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -14,8 +15,10 @@ from geokit.cli._batches import task
 from geokit.cli._batches.recipe import read_recipe
 from geokit.cli._batches.task import DONE, OUTPUTS, RECORD, WORK, key_of, run_task
 from geokit.cli._batches.worker import versions
+from geokit.core.private_folder import LOCK
 from geokit.mesh import load
 
+RECIPE = '[[step]]\nverb = "convert"\noutput = "{stem}.off"\n'
 TWO = (
     '[[step]]\nverb = "convert"\noutput = "{stem}.ply"\nkeep = false\n\n'
     '[[step]]\nverb = "mesh transform"\noutput = "{folder}/{stem}.off"\nmove = [1, 0, 0]\n'
@@ -23,10 +26,17 @@ TWO = (
 
 
 @pytest.fixture
-def staging(tmp_path: Path) -> Path:
+def staging(tmp_path: Path) -> Iterator[Path]:
     for name in (WORK, DONE):
         (tmp_path / "out" / "staging" / name).mkdir(parents=True)
-    return tmp_path / "out" / "staging"
+    yield tmp_path / "out" / "staging"
+    task._held.close()
+    task._place.clear()
+
+
+def _left(staging: Path) -> list[Path]:
+    """What tasks left in their private folders."""
+    return [path for path in (staging / WORK).glob("*/*") if path.name != LOCK]
 
 
 def test_the_record_says_what_was_done(corners, recipe: Path, staging: Path) -> None:
@@ -45,7 +55,7 @@ def test_the_record_says_what_was_done(corners, recipe: Path, staging: Path) -> 
     assert record["seconds"] > 0
     assert record["peak_bytes"] > 1 << 20
     assert json.loads((folder / RECORD).read_text()) == record
-    assert list((staging / WORK).iterdir()) == []
+    assert _left(staging) == []
     # The folder of the job is nowhere in it.
     assert str(staging) not in json.dumps(record)
 
@@ -70,7 +80,7 @@ def test_the_first_of_two_workers_stays(corners, recipe: Path, staging: Path) ->
         patch.setattr(Path, "read_text", late)
         assert run_task(steps, str(source), staging) == first
     assert calls == [done / RECORD] * 2
-    assert list((staging / WORK).iterdir()) == []
+    assert _left(staging) == []
 
 
 def test_errors_are_kept(corners, recipe: Path, staging: Path, tmp_path: Path, monkeypatch) -> None:
@@ -102,4 +112,64 @@ def test_a_full_disk_is_no_fault_of_the_file(corners, recipe: Path, staging: Pat
     assert record["status"] == "no room"
     assert "No space left" in record["error"]["message"]
     assert str(staging.parent) in record["error"]["message"]
-    assert [list((staging / name).iterdir()) for name in (WORK, DONE)] == [[], []]
+    assert [_left(staging), list((staging / DONE).iterdir())] == [[], []]
+
+
+def test_a_task_whose_folder_goes_away_is_lost_and_its_file_does_not_fail(
+    corners, recipe: Path, staging: Path, monkeypatch
+) -> None:
+    (source,), steps = corners(1), list(read_recipe(recipe).steps)
+    read = task.hash_of
+
+    def go_away(path: Path) -> str:
+        if path == source:
+            (staging / WORK).rename(staging / "gone")
+        return read(path)
+
+    monkeypatch.setattr(task, "hash_of", go_away)
+    for _ in range(2):  # in the middle, and before it begins
+        record = run_task(steps, str(source), staging)
+        assert (record["status"], record["input"]) == ("lost", str(source))
+        assert f"{staging}: others remove what tasks write there" in record["error"]["message"]
+    assert list((staging / DONE).iterdir()) == []
+    (staging / WORK).mkdir()
+    monkeypatch.undo()
+    assert run_task(steps, str(source), staging)["status"] == "done"
+
+
+def test_a_commit_that_another_process_was_faster_with_and_that_is_recorded_already(
+    corners, recipe: Path, staging: Path, monkeypatch
+) -> None:
+    def taken(*_: object) -> None:
+        raise OSError(errno.ENOTEMPTY, os.strerror(errno.ENOTEMPTY))
+
+    monkeypatch.setattr(Path, "rename", taken)
+    record = run_task(list(read_recipe(recipe).steps), str(corners(1)[0]), staging)
+    assert record["status"] == "lost"
+
+
+def test_a_name_that_leads_out_fails_and_so_does_a_step_without_output(
+    corners, recipe: Path, staging: Path, monkeypatch
+) -> None:
+    recipe.write_text(TWO.replace("{stem}.ply", "{stem}/a.ply"))
+    (source,) = corners(1)
+    hidden = source.with_name("...obj")
+    hidden.write_text(source.read_text())
+    record = run_task(list(read_recipe(recipe).steps), str(hidden), staging)
+    assert record["status"] == "failed"
+    assert "its output would be '../a.ply', which leads out" in record["error"]["message"]
+    monkeypatch.setattr(task, "_command", lambda _: lambda _: 0)
+    record = run_task(list(read_recipe(recipe).steps), str(source), staging)
+    assert record["error"]["message"] == f"{source}: the step made no corner000/a.ply; change its output in the recipe"
+
+
+def test_a_recipe_in_a_folder_with_braces(corners, staging: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "{x}"
+    folder.mkdir()
+    (folder / "other.obj").write_text(corners(1)[0].read_text())
+    recipe = folder / "recipe.toml"
+    recipe.write_text(f'[[step]]\nverb = "info"\nfiles = ["other.obj"]\n\n{RECIPE}files = ["{{input}}"]\n')
+    source = corners(1, "{stem}")[0].rename(tmp_path / "{stem}" / "{0}.obj")
+    record = run_task(list(read_recipe(recipe).steps), str(source), staging)
+    assert record["status"] == "done", record
+    assert [output["name"] for output in record["outputs"]] == ["{0}.off"]

@@ -21,6 +21,22 @@ def test_a_process_that_starts_while_all_are_ended_is_ended_too(monkeypatch: pyt
         return started[0]
 
     monkeypatch.setattr(subprocess, "Popen", start_late)
-    record = process.run({"steps": [], "staging": "", "memory": None}, "a.obj")
+    record = process.run({"steps": [], "staging": "", "memory": None, "seconds": None}, "a.obj")
     assert [one.returncode for one in started] == [-9]
     assert record["status"] == "failed"
+
+
+def test_a_file_that_takes_too_long_fails_and_its_process_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    started: list[subprocess.Popen[bytes]] = []
+    process, start = worker._Process(1), subprocess.Popen
+
+    def start_slow(command: object, **options: object) -> subprocess.Popen[bytes]:
+        started.append(start(["sleep", "60"], **options))  # type: ignore[call-overload]
+        return started[-1]
+
+    monkeypatch.setattr(subprocess, "Popen", start_slow)
+    record = process.run({"steps": [], "staging": "", "memory": None, "seconds": 0.05}, "a.obj")
+    assert [one.returncode for one in started] == [-9]  # it is not tried again
+    assert record["status"] == "failed"
+    message = "a.obj: takes more than the 0.05 s of --task-seconds; raise it, or mend the file"
+    assert record["error"] == {"type": "WorkerError", "message": message}
