@@ -161,7 +161,7 @@ class Manifest:
                 # A worker that was thought lost may finish what another one has done: its copy is dropped.
                 if record["status"] == "done" and not there:
                     continue
-                if _facts(record) != _facts(self.records.get(record["input"], {})) or record["status"] != "done":
+                if _facts(record) != _facts(self.records.get(record["input"], {})):
                     self.records[record["input"]] = _without(record, LEFT_OUT)
                     written.append(record)
             self._write(written)
@@ -256,7 +256,7 @@ def _is_record(found: Any) -> bool:
 
 def _facts(record: dict[str, Any]) -> list[Any]:
     """What makes two records of an input the same work."""
-    return [record.get(name) for name in ("status", "hash", "outputs", "versions")]
+    return [record.get(name) for name in ("status", "hash", "mtime_ns", "outputs", "versions", "error")]
 
 
 def _without(record: dict[str, Any], left_out: Sequence[str]) -> dict[str, Any]:

@@ -89,7 +89,8 @@ def run_task(steps: list[Step], source: str, staging: Path) -> dict[str, Any]:
         folder), which are not committed.
     """
     started, key = time.perf_counter(), key_of(source)
-    done, folder = staging / DONE / key, None
+    done = staging / DONE / key
+    folder: Path | None = None
     with contextlib.suppress(OSError):  # done by a worker that was lost with its answer
         return dict(json.loads((done / RECORD).read_text(encoding="utf-8")))
     reset_high_water()

@@ -132,6 +132,23 @@ def test_work_that_comes_twice_is_recorded_once(tmp_path, corners, recipe, recor
     assert [record["seconds"] for record in records_in(out / "manifest.jsonl")] == [1.0]
 
 
+def test_a_failure_that_was_recorded_when_the_batch_was_killed_is_not_recorded_again(
+    tmp_path, corners, recipe, records_in
+) -> None:
+    (source,), read, out = corners(1), read_recipe(recipe), tmp_path / "out"
+    record = {**_record(source, "failed"), "error": {"message": "is bad"}}
+    killed = Manifest(out, read, None)
+    killed.add([{**record, "worker": "w"}])
+    _commit(killed.staging, record)
+    killed.__exit__(Killed())
+    with Manifest(out, read, None) as again:
+        assert again.is_done(str(source), retry=False)
+        assert len(records_in(again.path)) == 1
+        os.utime(source, ns=(0, 0))
+        again.add([{**_record(source, "failed"), "error": {"message": "is bad"}}])
+        assert again.is_done(str(source), retry=False)  # touched, and looked at again: that is kept
+
+
 def test_what_has_changed_is_done_again(tmp_path, corners, recipe) -> None:
     sources, out = corners(2), tmp_path / "out"
     with Manifest(out, read_recipe(recipe), None) as manifest:
