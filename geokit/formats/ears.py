@@ -16,7 +16,7 @@ FEW = 64
 # Corners in a leaf of the tree in which blocking corners are looked up, at most.
 LEAF = 8
 # Nodes of the tree that are looked at in all, for each corner: of 100,000 corners, a comb needs 25, a star 80, thorns
-# of any length 375. Then the same after the last ear, where an outline crosses itself.
+# 375. Then the same after the last ear, where an outline crosses itself.
 LOOKS, CROSSED_LOOKS = 400, 30
 # And as many more, for any outline.
 FREE_LOOKS = 10_000

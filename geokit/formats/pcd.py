@@ -141,6 +141,7 @@ def _fields(lines: dict[str, list[str]], path: Path) -> list[_Field]:
             "entries; they need one for each field"
         )
     fields: list[_Field] = []
+    taken: set[str] = set()
     for name, size, letter, count in zip(names, sizes, types, counts, strict=True):
         kind = letter.lower() + size
         if kind not in _TYPES.get(letter, ()) or not _is_count(count) or not 0 < int(count) < LARGEST_RECORD:
@@ -148,10 +149,11 @@ def _fields(lines: dict[str, list[str]], path: Path) -> list[_Field]:
             raise FileFormatError(
                 f"{path}: field {name!r} has {given}, which the format does not know; the file is damaged"
             )
-        if name != _PADDING and name in [field.name for field in fields]:
+        if name != _PADDING and name in taken:
             raise FileFormatError(f"{path}: two fields are called {name!r}; give each its own name")
         if name.lower() in _AXES and int(count) != 1:
             raise FileFormatError(f"{path}: field {name!r} has COUNT {count}; a coordinate needs to be one number")
+        taken.add(name)
         fields.append(_Field(name, kind, int(count)))
     if sum(field.width for field in fields) > LARGEST_RECORD:
         raise FileFormatError(f"{path}: its fields make a point of more than 1 GiB; the header is damaged")

@@ -312,6 +312,9 @@ def read_header(data: bytes, path: Path) -> tuple[str, list[_Element], int]:
         raise FileFormatError(f"{path}: the header has no end; the file is truncated, get a whole copy")
     order = None
     elements: list[_Element] = []
+    # Names of the elements, and of the properties of the last one.
+    taken: set[str] = set()
+    known: set[str] = set()
     # Other bytes that split lines of text may stand in comments.
     for line in re.split(r"\r\n|\r|\n", data[:end].decode("latin-1"))[1:]:
         words = line.split()
@@ -321,10 +324,13 @@ def read_header(data: bytes, path: Path) -> tuple[str, list[_Element], int]:
                 continue
             if words[0] == "format":
                 order = _ORDERS[words[1]]
-            elif words[0] == "element" and words[2].isdecimal() and words[1] not in [e.name for e in elements]:
+            elif words[0] == "element" and words[2].isdecimal() and words[1] not in taken:
                 elements.append(_Element(words[1], int(words[2])))
-            elif words[0] == "property" and words[-1] not in [p.name for p in elements[-1].properties]:
+                taken.add(words[1])
+                known = set()
+            elif words[0] == "property" and words[-1] not in known:
                 elements[-1].properties.append(_property(words))
+                known.add(words[-1])
             else:
                 raise ValueError(line)
         except (ValueError, KeyError, IndexError):

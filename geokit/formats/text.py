@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -230,7 +231,8 @@ def _places_of(columns: Sequence[str], names: list[str], path: Path) -> list[int
     Raises:
         InputError: A name is none of the file's, or of several columns.
     """
-    missing = [name for name in columns if names.count(name) != 1]
+    times = Counter(names)
+    missing = [name for name in columns if times[name] != 1]
     if missing:
         listed = in_one_line(", ".join(map(repr, names)))
         raise InputError(f"columns: {missing[0]!r} is not the name of one column of {path}; its columns are {listed}")
@@ -245,7 +247,8 @@ def _named_columns(table: _Table, places: tuple[int, int, int], path: Path) -> C
     """
     names, cells = table.names, table.cells
     others = [at for at in range(len(names)) if at not in places]
-    repeated = [names[at] for at in others if names.count(names[at]) > 1]
+    times = Counter(names)
+    repeated = [names[at] for at in others if times[names[at]] > 1]
     if repeated:
         raise FileFormatError(f"{path}: two columns are called {repeated[0]!r}; give each its own name")
     if not len(cells.values):
@@ -254,15 +257,16 @@ def _named_columns(table: _Table, places: tuple[int, int, int], path: Path) -> C
     cells.refuse(places, path)
     columns: Columns = {axis: cells.values[:, at] for axis, at in zip(AXES, places, strict=True)}
     text = np.atleast_1d(cells.text.any(axis=0)) if cells.lines else np.zeros(len(names), bool)
-    labels = [at for at in others if text[at] and (cells.text | cells.empty)[:, at].all()]
-    mixed = [at for at in others if text[at] and at not in labels]
+    worded = text & np.atleast_1d((cells.text | cells.empty).all(axis=0)) if cells.lines else text
+    labels = [at for at in others if worded[at]]
+    mixed = [at for at in others if text[at] and not worded[at]]
     if mixed:
         raise not_numbers(cells, int(np.argmax(cells.text[:, mixed].any(axis=1))), path)
     if labels:
         shown = in_one_line(", ".join(repr(names[at]) for at in labels))
         warn(f"{path}: columns of text are left out: {shown}")
     for at in others:
-        if at not in labels:
+        if not worded[at]:
             # Columns that are not chosen may have the names of those that are.
             columns[f"{names[at]}_" if names[at] in AXES else names[at]] = cells.values[:, at]
     return columns

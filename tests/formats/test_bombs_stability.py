@@ -209,6 +209,42 @@ def test_a_face_that_crosses_itself_costs_little(tmp_path, kind):
     assert time.process_time() - begin < 15.0  # 0.2 s; 50 s and more where each ear is looked for among all corners
 
 
+def _wide(path, kind):
+    """Many names in a header: columns, elements, properties, or fields."""
+    names, count = [f"c{at}" for at in range(30_000)], 30_000
+    vertices = "element vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+    faces = "element face 1\nproperty list int int vertex_indices\n"
+    rows = ["0 0 0", "1 0 0", "0 1 0"]
+    if kind == "columns":
+        path.write_text(",".join(["x", "y", "z", *names]) + "\n" + ",".join(["1"] * (count + 3)) + "\n")
+    elif kind == "words":
+        path.write_text(",".join(["x", "y", "z", *names]) + "\n1,1,1" + ",a" * count + "\n")
+    elif kind == "elements":
+        more = "".join(f"element {name} 0\nproperty int a\n" for name in names)
+        path.write_text(f"ply\nformat ascii 1.0\n{vertices}{faces}{more}end_header\n" + "\n".join([*rows, "3 0 1 2\n"]))
+    elif kind == "properties":
+        more = "".join(f"property int {name}\n" for name in names)
+        rows = [row + " 1" * count for row in rows]
+        path.write_text(f"ply\nformat ascii 1.0\n{vertices}{more}{faces}end_header\n" + "\n".join([*rows, "3 0 1 2\n"]))
+    else:
+        facts = {"VERSION": "0.7", "FIELDS": " ".join(["x", "y", "z", *names]), "SIZE": "4 " * (count + 3)}
+        facts |= {"TYPE": "F " * (count + 3), "COUNT": "1 " * (count + 3), "WIDTH": "1", "HEIGHT": "1"}
+        facts |= {"VIEWPOINT": "0 0 0 1 0 0 0", "POINTS": "1", "DATA": "ascii\n" + "1 " * (count + 3)}
+        path.write_text("".join(f"{key} {value}\n" for key, value in facts.items()))
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [("columns", "a.csv"), ("words", "a.csv"), ("elements", "a.ply"), ("properties", "a.ply"), ("fields", "a.pcd")],
+)
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_headers_of_many_names_cost_little(tmp_path, kind, name):
+    _wide(tmp_path / name, kind)
+    begin = time.process_time()
+    (mesh.load if kind in ("elements", "properties") else points.load)(tmp_path / name)
+    assert time.process_time() - begin < 5.0  # 0.5 s; 7 s and more where each name is looked for in a list
+
+
 def test_the_limit_is_the_caller_s(tmp_path):
     rows = np.zeros((40_000, 3))
     np.savez_compressed(tmp_path / "a.npz", points=rows)

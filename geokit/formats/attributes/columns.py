@@ -36,11 +36,11 @@ def from_columns(columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]
                 data[name] = np.stack([rest.pop(part) for part in spelling], axis=1)
                 break
     for name in list(rest):
-        for end, parts in (("_x", [f"{name[:-2]}_{axis}" for axis in "xyz"]), ("_0", _numbered(name[:-2], rest))):
-            whole = name.endswith(end) and len(parts) > 1 and set(parts) <= rest.keys()
-            if whole and name[:-2] not in {*columns, *data, ""} and len({rest[part].dtype for part in parts}) == 1:
-                data[name[:-2]] = np.stack([rest.pop(part) for part in parts], axis=1)
-                break
+        of, end = name[:-2], name[-2:]
+        parts = [f"{of}_{axis}" for axis in "xyz"] if end == "_x" else _numbered(of, rest) if end == "_0" else []
+        whole = len(parts) > 1 and set(parts) <= rest.keys()
+        if whole and of and not (of in columns or of in data) and len({rest[part].dtype for part in parts}) == 1:
+            data[of] = np.stack([rest.pop(part) for part in parts], axis=1)
     return {**whole_rows, **data, **rest}
 
 
@@ -52,10 +52,13 @@ def as_columns(data: Mapping[str, NDArray[Any]], taken: tuple[str, ...] = ()) ->
         taken: Names that columns must not have.
     """
     columns: dict[str, NDArray[Any]] = {}
+    used = set(taken)
     for given, values in data.items():
         table = values.reshape(len(values), -1)
         for part, column in zip(_column_names(given, table.shape[1]), table.T, strict=True):
-            columns[free_name(part, {*columns, *taken})] = column
+            name = free_name(part, used)
+            columns[name] = column
+            used.add(name)
     return columns
 
 

@@ -69,13 +69,16 @@ def open_images(path: Path, limit: int) -> list[Image]:
             continue
         with reading(file):
             try:
-                header = pydicom.dcmread(file, stop_before_pixels=True, specific_tags=_TAGS, force=_is_bare(file))
+                # For itself: of the deflated syntax dcmread decompresses all, to any size.
+                syntax = pydicom.filereader.read_file_meta_info(file).get("TransferSyntaxUID")
             except pydicom.errors.InvalidDicomError:
-                continue  # other files lie in such folders too
-            syntax = header.file_meta.get("TransferSyntaxUID")
+                if not _is_bare(file):
+                    continue  # other files lie in such folders too
+                syntax = None
             if syntax is not None and ((syntax.is_encapsulated and syntax != RLE) or syntax.is_deflated):
                 remedy = "decompress it first, for example with gdcmconv --raw"
                 raise FileFormatError(f"{path}: {file.name} is compressed ({in_one_line(str(syntax.name))}); {remedy}")
+            header = pydicom.dcmread(file, stop_before_pixels=True, specific_tags=_TAGS, force=True)
             if "Rows" not in header:
                 continue  # reports and presentations
             key = str(header.get("SeriesInstanceUID", ""))

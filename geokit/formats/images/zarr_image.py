@@ -51,6 +51,9 @@ UNITS = {
 STRAIGHT = True
 # Edge of the chunks that are written.
 CHUNK = 64
+# Chunks that are read at a time, and that an array may have whatever is there. Sparse ones lack most of theirs: so many
+# for each that is there.
+MOST_CHUNKS, ABSENT_CHUNKS = 20_000, 100
 
 
 def open_images(path: Path, limit: int) -> list[Image]:
@@ -119,9 +122,10 @@ def _of_array(path: Path, array: Any, name: str, scale: Any, facts: Any, limit: 
     )
 
     def slabs(grid: int) -> Iterator[NDArray[Any]]:
+        _require_chunks(path, array)
         chunk = int(array.chunks[slow])
         step = max(chunk, rows_at_a_time(row_bytes) // chunk * chunk)
-        key: list[Any] = [slice(None)] * len(sizes)
+        key: list[Any] = [slice(0, size) for size in sizes]
         for at, index in (
             zip(others, np.unravel_index(grid, [sizes[at] for at in others]), strict=True) if others else ()
         ):
@@ -131,7 +135,7 @@ def _of_array(path: Path, array: Any, name: str, scale: Any, facts: Any, limit: 
         for first in range(0, sizes[slow], step):
             key[slow] = slice(first, min(first + step, sizes[slow]))
             with reading(path):
-                part = np.asarray(array[tuple(key)]).transpose(order)
+                part = _part(array, key).transpose(order)
             yield part if len(spatial) == 3 else np.expand_dims(part, 2)
 
     note = note_of(facts.get("geokit"))
@@ -151,6 +155,39 @@ def _of_array(path: Path, array: Any, name: str, scale: Any, facts: Any, limit: 
         note=note,
     )
     return grids_of(path, image, count, slabs)
+
+
+def _require_chunks(path: Path, array: Any) -> None:
+    """Refuse an array that needs many times more chunks than there are: zarr takes 0.2 ms for each that is not there.
+
+    Raises:
+        FileFormatError: There are too many.
+    """
+    chunks = math.prod(-(-int(n) // int(chunk)) for n, chunk in zip(array.shape, array.chunks, strict=True))
+    if chunks <= MOST_CHUNKS:
+        return
+    files = sum(len(names) for _, _, names in os.walk(path / array.path))
+    present = files * math.prod(getattr(array, "shards", None) or array.chunks) // math.prod(array.chunks)
+    if chunks > MOST_CHUNKS + ABSENT_CHUNKS * present:
+        raise FileFormatError(
+            f"{path}: is divided into {chunks} chunks of {in_one_line(str(array.chunks))} voxels, of which at most "
+            f"{present} are there; get a whole copy, or write it again with larger chunks"
+        )
+
+
+def _part(array: Any, key: list[Any]) -> NDArray[Any]:
+    """A part of an array, some chunks at a time: zarr starts a task of 2.5 kB for each."""
+    counts = [
+        -(-one.stop // chunk) - one.start // chunk if isinstance(one, slice) else 1
+        for one, chunk in zip(key, array.chunks, strict=True)
+    ]
+    if math.prod(counts) <= MOST_CHUNKS:
+        return np.asarray(array[tuple(key)])
+    at = int(np.argmax(counts))
+    begin, end, chunk = key[at].start, key[at].stop, array.chunks[at]
+    middle = (begin // chunk + counts[at] // 2) * chunk
+    parts = [_part(array, [*key[:at], slice(*ends), *key[at + 1 :]]) for ends in ((begin, middle), (middle, end))]
+    return np.concatenate(parts, axis=sum(isinstance(one, slice) for one in key[:at]))
 
 
 def _transforms(scale: Any, count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import geokit as gk
+from geokit.formats.images import zarr_image
 from geokit.volume.images import save
 from tests.formats.images.test_places import INDICES, LPS, STRAIGHT, VALUES, assert_there, at, turned, volume_at, world
 
@@ -259,6 +260,34 @@ def test_chunks_of_zarr_are_held_to_the_limit(tmp_path: Path) -> None:
         gk.volume.load(_array(tmp_path / "a.zarr", chunks=[2000] * 3))
     with pytest.raises(gk.FileFormatError, match="chunks of"):
         gk.volume.load(_array(tmp_path / "a.zarr", chunks=[0] * 3))
+
+
+def test_a_zarr_of_far_more_chunks_than_are_there_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for size in (300_000, 8_000_000):
+        with pytest.raises(gk.FileFormatError, match=f"divided into {size} chunks .* or write it again"):
+            gk.volume.load(_array(tmp_path / "a.zarr", shape=[size, 1, 1], chunks=[1, 1, 1]))
+    values = np.arange(1.0, 127.0, dtype="f4").reshape(3, 6, 7)
+    monkeypatch.setattr(zarr_image, "MOST_CHUNKS", 5)
+    array = zarr.create_array(str(tmp_path / "b.zarr"), shape=values.shape, chunks=(2, 2, 2), dtype="f4")
+    array[:] = values
+    np.testing.assert_array_equal(gk.volume.to_dense(gk.volume.load(tmp_path / "b.zarr"), device="cpu").values, values)
+    # Sparse ones have few of theirs.
+    array = zarr.create_array(str(tmp_path / "c.zarr"), shape=values.shape, chunks=(2, 2, 2), dtype="f4")
+    array[2, 5, 6] = 1.0
+    assert gk.volume.load(tmp_path / "c.zarr").info.active_voxel_count == 1
+
+
+def test_deflated_dicom_is_refused_before_it_is_decompressed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_series(tmp_path / "ct", turned())
+    data = pydicom.dcmread(tmp_path / "ct" / "s0.dcm")
+    data.file_meta.TransferSyntaxUID = pydicom.uid.DeflatedExplicitVRLittleEndian
+    data.save_as(tmp_path / "a.dcm", enforce_file_format=True)
+    monkeypatch.setattr(pydicom.filereader.zlib, "decompress", lambda *_: pytest.fail("it is decompressed"))
+    content = (tmp_path / "a.dcm").read_bytes()
+    for preamble in (content[:2], b"\x08\0"):
+        (tmp_path / "a.dcm").write_bytes(preamble + content[2:])
+        with pytest.raises(gk.FileFormatError, match=r"a\.dcm is compressed \(Deflated"):
+            gk.volume.load(tmp_path / "a.dcm")
 
 
 def test_a_folder_that_cannot_be_exchanged_in_one_step_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
