@@ -37,7 +37,7 @@ from geokit.errors import (
 from geokit.formats.reader.process import reading_seconds
 from geokit.native import _served, _worker
 from geokit.native._failures import raise_failure
-from geokit.native._metadata import RawMetadata, decode_all, decode_header, encode_all
+from geokit.native._metadata import RawMetadata, decode_grids, decode_header, encode_all, split
 
 __all__ = [
     "PolygonMesh",
@@ -80,10 +80,11 @@ class VdbGrid(NamedTuple):
         nanovdb: NanoVDB buffer: uint8, starting at a 32-byte boundary, one grid, no file header. It holds the values,
             the name, the class, the transform and the background.
         metadata: The other OpenVDB metadata by name. The Python type of a value stands for its OpenVDB type; see
-            ``geokit.native._metadata``. Three keys are special. "name" overrides the buffer's name on writing. "class"
+            ``geokit.native._metadata``. Some keys are special. "name" overrides the buffer's name on writing. "class"
             overrides its class; after reading it is present if a NanoVDB grid of this type cannot hold the class (a
             level set of integers). "geokit:value_type" is "vec3i" if the file holds integer vectors, which NanoVDB
-            lacks and the buffer holds as vec3d.
+            lacks and the buffer holds as vec3d. "is_saved_as_half_float" is True if the file holds the values with 16
+            bits, and "geokit:file:NAME" is NAME of the file's own metadata: on writing they become that again.
     """
 
     nanovdb: NDArray[np.uint8]
@@ -226,13 +227,10 @@ def _read_unchecked(
     if trusted:
         extension = _extension()
         output, buffers = _call(source, lambda: extension.read(os.fsencode(source), names))
-        descriptions = json.loads(output.decode("utf-8", "surrogateescape"))["grids"]
+        result = json.loads(output.decode("utf-8", "surrogateescape"))
     else:
-        descriptions, buffers = _read_in_worker(source, names, *limits)
-    return [
-        VdbGrid(buffer, decode_all(description["metadata"]))
-        for buffer, description in zip(buffers, descriptions, strict=True)
-    ]
+        result, buffers = _read_in_worker(source, names, *limits)
+    return [VdbGrid(*grid) for grid in zip(buffers, decode_grids(result), strict=True)]
 
 
 @needs(fatal=True)
@@ -263,7 +261,7 @@ def inspect_vdb(
     result = _worker.run_worker(_worker_path(), "inspect", source, [], time_limit=limits[0], memory_limit=limits[1])
     if "error" in result:
         raise_failure(result["error"], str(source))
-    return [decode_header(description) for description in result["grids"]]
+    return list(map(decode_header, result["grids"], decode_grids(result)))
 
 
 @needs(lambda path, grids, **_: 3 * sum(len(grid.nanovdb) for grid in grids), fatal=True)
@@ -273,13 +271,14 @@ def write_vdb(
     """Write grids into a .vdb file atomically: a reader sees the old file or the complete new one.
 
     Exact except with ``half`` and for quantized grids (fp4, fp8, fp16, fpn), which are written as float grids of the
-    decoded values. Types vec4f, vec4d and uint32 are written, although other programs may not read them.
+    decoded values. Grids whose metadata say "is_saved_as_half_float" are written with 16 bits if that changes no value.
+    Types vec4f, vec4d and uint32 are written, although other programs may not read them.
 
     Args:
         path: The file; an existing one is replaced.
         grids: At least one grid.
         compression: "blosc" (with OpenVDB's active mask), "zip" (the same) or "none".
-        half: Store floating-point values with 16 bits.
+        half: Store floating-point values of all grids with 16 bits, also where that rounds them.
 
     Raises:
         InputError: No grid, an invalid buffer, an unknown compression, metadata without an OpenVDB type, or a transform
@@ -294,9 +293,11 @@ def write_vdb(
         raise InputError(f"{path}: no grids to write; pass at least one")
     require_choice(compression, "compression", ("blosc", "zip", "none"))
     half = require_flag(half, "half")
-    prepared = [(_aligned(grid.nanovdb), encode_all(grid.metadata)) for grid in grids]
+    own, of_file = split(grid.metadata for grid in grids)
+    prepared = [(_aligned(grid.nanovdb), encode_all(metadata)) for grid, metadata in zip(grids, own, strict=True)]
+    rest = (encode_all(of_file), compression, half)
     with atomic_path(path) as part:
-        _call(path, lambda: extension.write(os.fsencode(part), prepared, compression, half), is_argument=True)
+        _call(path, lambda: extension.write(os.fsencode(part), prepared, *rest), is_argument=True)
 
 
 @needs(lambda nanovdb, **_: 3 * len(nanovdb), fatal=True)
@@ -404,7 +405,7 @@ def mesh_to_level_set(
 
 def _read_in_worker(
     path: Path, names: list[str], time_limit: float, memory_limit: int
-) -> tuple[list[dict[str, Any]], list[NDArray[np.uint8]]]:
+) -> tuple[dict[str, Any], list[NDArray[np.uint8]]]:
     worker = _worker_path()
     # Names that are no Unicode text go to the program as they are.
     small = path.stat().st_size <= SMALL_BYTES and "".join(names).isascii()
@@ -417,7 +418,7 @@ def _read_in_worker(
             )
             if "error" not in result:
                 buffers = [_worker.map_file(grid["path"], grid["size"]) for grid in result["grids"]]
-                return result["grids"], buffers
+                return result, buffers
             if result["error"]["kind"] == "memory":
                 _worker.refuse_small_files(path, memory_limit)
             if result["error"]["kind"] != "spool":

@@ -18,14 +18,14 @@ The mapping is one-to-one, so a value that was read from a file is written back 
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from geokit.errors import InputError
 
-__all__ = ["POINTS", "RawMetadata", "decode_all", "decode_header", "encode_all"]
+__all__ = ["FILE", "POINTS", "RawMetadata", "decode_grids", "decode_header", "encode_all", "split"]
 
 
 class RawMetadata(NamedTuple):
@@ -35,6 +35,8 @@ class RawMetadata(NamedTuple):
     data: bytes
 
 
+# In front of the names of metadata of a file, which each of its grids has beside its own.
+FILE = "geokit:file:"
 # OpenVDB's name of a grid of points with attributes.
 POINTS = "Tree_ptdataidx32_5_4_3"
 # OpenVDB's value types whose names geokit.volume.GridInfo spells differently.
@@ -91,10 +93,29 @@ def decode_all(items: list[dict[str, str]]) -> dict[str, Any]:
     return {item["name"]: decode(item["type"], bytes.fromhex(item["hex"])) for item in items}
 
 
-def decode_header(description: dict[str, Any]) -> dict[str, Any]:
+def decode_grids(result: dict[str, Any]) -> list[dict[str, Any]]:
+    """The metadata of each grid in the worker's JSON, and beside them those of the file."""
+    of_file = {FILE + name: value for name, value in decode_all(result["metadata"]).items()}
+    return [{**decode_all(description["metadata"]), **of_file} for description in result["grids"]]
+
+
+def split(grids: Iterable[Mapping[str, Any]]) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    """The inverse: the metadata of each grid, and those of the file, each as the first grid that has it says."""
+    own: list[dict[str, Any]] = []
+    of_file: dict[str, Any] = {}
+    for metadata in grids:
+        own.append({})
+        for name, value in metadata.items():
+            if isinstance(name, str) and name.startswith(FILE):
+                of_file.setdefault(name[len(FILE) :], value)
+            else:
+                own[-1][name] = value
+    return own, of_file
+
+
+def decode_header(description: dict[str, Any], metadata: dict[str, Any]) -> dict[str, Any]:
     """Convert a grid's description in the worker's JSON to geokit's names and types."""
-    header = dict(description)
-    header["metadata"] = decode_all(description["metadata"])
+    header = {**description, "metadata": metadata}
     if description["convertible"]:
         value_type = description["grid_type"].split("_")[1]
         header["grid_type"] = _GRID_TYPES.get(value_type, value_type)

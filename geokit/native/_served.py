@@ -27,8 +27,8 @@ ALIGNMENT = 32
 
 def read(
     path: Path, names: list[str], time_limit: float, memory_limit: int
-) -> tuple[list[dict[str, Any]], list[NDArray[np.uint8]]]:
-    """Descriptions of the grids, and their buffers, which are to be checked.
+) -> tuple[dict[str, Any], list[NDArray[np.uint8]]]:
+    """Descriptions of the file and its grids, and the buffers, which are to be checked.
 
     Raises:
         FileFormatError: The file is damaged, or reading it exceeded a limit.
@@ -45,7 +45,7 @@ def read(
     facts, arrays = reader_process.ask(path, __name__, request, time_limit, "restore it from its source")
     if "error" in facts:
         raise_failure(facts["error"], str(path))
-    return facts["grids"], [_aligned(array) for _, array in arrays]
+    return facts, [_aligned(array) for _, array in arrays]
 
 
 def _aligned(array: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -136,21 +136,25 @@ void check_buffer(ConstBytes buffer)
     interruptible([&](const geokit::Pulse&) { geokit::check_nanovdb(buffer.data(), buffer.size()); });
 }
 
+std::vector<geokit::MetadataItem> to_items(const std::vector<Item>& items)
+{
+    std::vector<geokit::MetadataItem> made;
+    for (const auto& [name, type, value] : items) {
+        made.push_back({name, type, std::string(value.c_str(), value.size())});
+    }
+    return made;
+}
+
 void write_grids(nb::bytes path, const std::vector<std::pair<ConstBytes, std::vector<Item>>>& grids,
-    const std::string& compression, bool half)
+    const std::vector<Item>& metadata, const std::string& compression, bool half)
 {
     std::vector<geokit::WriteGrid> sources;
-    for (const auto& [buffer, items] : grids) {
-        geokit::WriteGrid source{buffer.data(), {}};
-        for (const auto& [name, type, value] : items) {
-            source.metadata.push_back({name, type, std::string(value.c_str(), value.size())});
-        }
-        sources.push_back(std::move(source));
-    }
+    for (const auto& [buffer, items] : grids) sources.push_back({buffer.data(), to_items(items)});
+    const auto of_file = to_items(metadata);
     const std::string target(path.c_str(), path.size());
     interruptible([&](const geokit::Pulse&) {
         for (size_t i = 0; i < grids.size(); ++i) geokit::check_nanovdb(grids[i].first.data(), grids[i].first.size());
-        geokit::write_vdb(target, sources, compression, half);
+        geokit::write_vdb(target, sources, of_file, compression, half);
     });
 }
 
@@ -278,7 +282,8 @@ NB_MODULE(_bridge, module)
     module.def("build_facts", &geokit::build_facts);
     module.def("read", &read_grids, nb::arg("path"), nb::arg("names"));
     module.def("check", &check_buffer, nb::arg("buffer").noconvert());
-    module.def("write", &write_grids, nb::arg("path"), nb::arg("grids"), nb::arg("compression"), nb::arg("half"));
+    module.def("write", &write_grids, nb::arg("path"), nb::arg("grids"), nb::arg("metadata"), nb::arg("compression"),
+        nb::arg("half"));
     module.def("read_points", &read_points, nb::arg("path"), nb::arg("name"));
     module.def("write_points", &write_points);
     module.def(

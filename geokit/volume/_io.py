@@ -282,6 +282,12 @@ def save(path: str | os.PathLike[str], *volumes: SparseVolume, codec: str | None
     In .vdb and .nvdb values, masks, transforms, names and metadata are kept bit for bit (except with ``half``).
     In .vdb quantized grids become float grids, and grids of 8-bit and 16-bit integers int32 grids, of the same values.
 
+    A grid that a .vdb file held with 16 bits ("is_saved_as_half_float" in its metadata) is written with 16 bits again
+    where they hold each value exactly, as those of a copy or a clip. Where values were computed, as by
+    :func:`resample`, it is written whole, unless ``half`` is given. Metadata of the .vdb file itself stand as
+    "geokit:file:NAME" in ``info.metadata`` of its grids, and become those of the new file; where volumes of several
+    files differ, the first decides.
+
     A USD stage gets one Volume prim; its grids go into ``NAME_grids.vdb`` beside it, or inside a .usdz.
 
     In other formats one volume is written as a dense array of the box around its active voxels, a few slices at a time.
@@ -294,7 +300,8 @@ def save(path: str | os.PathLike[str], *volumes: SparseVolume, codec: str | None
         volumes: One or more volumes; only one for dense formats.
         codec: "none", "zip" or "blosc". None means "blosc" for .vdb and USD and "none", which every reader supports,
             for .nvdb; .nrrd and .tif are zipped unless it is "none", .mhd and .mha are if it is "zip".
-        half: Store the floating-point values of a .vdb file with 16 bits, also of that of a USD stage.
+        half: Store the floating-point values of a .vdb file with 16 bits, also of that of a USD stage, and also where
+            that rounds them.
 
     Raises:
         InputError: The extension, the codec or a volume is invalid, half is given with another format than .vdb and

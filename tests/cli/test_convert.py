@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from geokit.mesh import load as load_mesh
 from geokit.points import downsample
 from geokit.points import load as load_points
 from geokit.volume import load as load_volume
+from geokit.volume import save as save_volume
 
 needs_openvdb = pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
 
@@ -155,6 +157,25 @@ def test_vdb_and_back(geokit, cube_sdf: Path, tmp_path: Path) -> None:
     random = np.random.default_rng(0)
     points = random.uniform(-0.3, 1.3, (2000, 3))
     np.testing.assert_array_equal(first.sample(points, device="cpu"), second.sample(points, device="cpu"))
+
+
+@pytest.mark.slow
+@needs_openvdb
+def test_sixteen_bits_and_metadata_of_the_file_are_kept_and_shown(geokit, cube_sdf: Path, tmp_path: Path) -> None:
+    volume = load_volume(cube_sdf)
+    info = dataclasses.replace(volume.info, metadata={**volume.info.metadata, "geokit:file:creator": "Houdini"})
+    first, copy, whole = tmp_path / "first.vdb", tmp_path / "copy.vdb", tmp_path / "whole.vdb"
+    save_volume(first, dataclasses.replace(volume, info=info), half=True)
+    assert geokit("convert", first, copy).returncode == 0
+    assert geokit("volume", "resample", first, whole, "--voxel-size", "0.05").returncode == 0
+    assert abs(copy.stat().st_size - first.stat().st_size) <= 0.03 * first.stat().st_size
+    for path, half in ((first, True), (copy, True), (whole, None)):
+        (grid,) = json.loads(geokit("info", path, "--json").stdout)["grids"]
+        assert grid["metadata"]["geokit:file:creator"] == "Houdini"
+        assert grid["metadata"].get("is_saved_as_half_float") is half
+    lines = geokit("info", copy).stdout.split()
+    assert lines[lines.index("geokit:file:creator") + 1] == "Houdini"
+    assert lines[lines.index("is_saved_as_half_float") + 1] == "yes"
 
 
 @pytest.mark.slow

@@ -418,8 +418,45 @@ def test_half_stores_sixteen_bits(tmp_path: Path) -> None:
     assert np.array_equal(stored, exact.astype(np.float16).astype(np.float32))
     (header,) = native.inspect_vdb(tmp_path / "grid.vdb")
     assert header["half"]
-    # What was read is not marked: writing it again keeps all its bits unless asked not to.
+    assert result.metadata == header["metadata"] == {"is_saved_as_half_float": True}
+
+
+@needs_openvdb
+@pytest.mark.parametrize("grid_type", ["float", "double", "vec3f", "vec4f", "int32", "bool"])
+def test_what_was_stored_with_sixteen_bits_is_so_again(tmp_path: Path, grid_type: str) -> None:
+    (first,) = round_trip(tmp_path, VdbGrid(make_buffer(grid_type), {}), half=True)
+    size = (tmp_path / "grid.vdb").stat().st_size
+    # Beside one that was not.
+    whole = VdbGrid(make_buffer(grid_type), {"name": "whole"})
+    found = round_trip(tmp_path, first, whole)
+    assert [header["half"] for header in native.inspect_vdb(tmp_path / "grid.vdb")] == [True, False]
+    assert [grid.metadata for grid in found] == [{"is_saved_as_half_float": True}, {}]
+    assert tree_content(found[0].nanovdb) == tree_content(first.nanovdb)
+    assert tree_content(found[1].nanovdb).items() - tree_content(whole.nanovdb).items() == {
+        ("name", b"whole".ljust(256, b"\0"))
+    }
+    round_trip(tmp_path, first)
+    assert (tmp_path / "grid.vdb").stat().st_size == size
+
+
+@needs_openvdb
+@pytest.mark.parametrize("value", [0.1, 65536.0, 1e-9])
+@pytest.mark.parametrize("place", ["leaf", "lower", "upper", "background"])
+def test_values_that_sixteen_bits_do_not_hold_are_written_whole(tmp_path: Path, place: str, value: float) -> None:
+    (read,) = round_trip(tmp_path, VdbGrid(make_buffer("float"), {}), half=True)
+    buffer, layout = read.nanovdb.copy(), Layout("float")
+    leaf, lower, upper, root = (672 + int(x) for x in get(buffer, 672, "<u8", 4))
+    at = {
+        "leaf": leaf + layout.leaf_values + 4 * 511,
+        "lower": lower + layout.table[1] + 8 * 4095,
+        "upper": upper + layout.table[2] + 8 * 32767,
+        "background": root + layout.background,
+    }
+    put(buffer, at[place], [value], "<f4")
+    (result,) = round_trip(tmp_path, VdbGrid(buffer, read.metadata), compression="none")
+    assert tree_content(result.nanovdb) == tree_content(buffer)
     assert result.metadata == {}
+    assert not native.inspect_vdb(tmp_path / "grid.vdb")[0]["half"]
 
 
 @needs_openvdb
@@ -479,6 +516,38 @@ def test_metadata_keeps_types_and_bits(tmp_path: Path, trusted: bool) -> None:
     assert {k: type_tree(v) for k, v in result.metadata.items()} == {k: type_tree(v) for k, v in METADATA.items()}
     (header,) = native.inspect_vdb(tmp_path / "grid.vdb")
     assert header["metadata"] == METADATA
+
+
+@needs_openvdb
+@pytest.mark.parametrize("trusted", [False, True])
+def test_metadata_of_the_file_are_those_of_all_its_grids(tmp_path: Path, trusted: bool) -> None:
+    told = {f"geokit:file:{name}": value for name, value in METADATA.items()}
+    grids = [
+        VdbGrid(make_buffer("float"), {"seed": 3, "text": "own"} | told),
+        VdbGrid(make_buffer("bool"), {"geokit:file:text": "later", "geokit:file:more": 1}),
+    ]
+    first, second = round_trip(tmp_path, *grids, trusted=trusted)
+    told["geokit:file:more"] = 1
+    assert (first.metadata, second.metadata) == ({"seed": 3, "text": "own"} | told, told)
+    assert {name: type_tree(value) for name, value in second.metadata.items()} == {
+        name: type_tree(value) for name, value in told.items()
+    }
+    assert [header["metadata"] for header in native.inspect_vdb(tmp_path / "grid.vdb")] == [first.metadata, told]
+    # Their number follows the header of the file.
+    assert int.from_bytes((tmp_path / "grid.vdb").read_bytes()[57:61], "little") == len(told)
+
+
+@needs_openvdb
+def test_metadata_of_a_file_do_not_fill_the_memory(tmp_path: Path) -> None:
+    path = tmp_path / "many.vdb"
+    native.write_vdb(path, [VdbGrid(make_buffer("float"), {"geokit:file:a": 1, "geokit:file:b": 2})])
+    data = bytearray(path.read_bytes())
+    at = data.index(b"\4\0\0\0grid") - 4
+    assert data[at : at + 4] == b"\1\0\0\0"
+    data[at : at + 4] = (500001).to_bytes(4, "little")
+    path.write_bytes(data)
+    with pytest.raises(FileFormatError, match="500001 grids and 2 metadata"):
+        native.read_vdb(path)
 
 
 @needs_openvdb
@@ -770,13 +839,13 @@ inside.fill((-4, 0, 0), (60, 5, 5), True)
 inside.name = "inside"
 velocity = vdb.Vec3SGrid((0, 0, 1))
 velocity.copyFromArray(np.random.default_rng(6).normal(size=(9, 9, 9, 3)).astype(np.float32))
-velocity.name, velocity.gridClass = "v", vdb.GridClass.STAGGERED
+velocity.name, velocity.gridClass, velocity.saveFloatAsHalf = "v", vdb.GridClass.STAGGERED, True
 vdb.write(sys.argv[1], grids=[density, inside, velocity], metadata={"creator": "peer"})
 """
 
 COMPARE_WITH_PEER = """
 import sys, pyopenvdb as vdb
-stats = ("file_", "is_saved_as_half_float")
+assert vdb.readMetadata(sys.argv[1]) == vdb.readMetadata(sys.argv[2]) == {"creator": "peer"}
 for name in ("density", "inside", "v"):
     a, b = vdb.read(sys.argv[1], name), vdb.read(sys.argv[2], name)
     assert a.background == b.background and a.gridClass == b.gridClass and type(a) is type(b)
@@ -785,7 +854,8 @@ for name in ("density", "inside", "v"):
     assert a.transform == b.transform
     for p in ((0, 0, 0), (1, 2, 3), (-50, 1000, 7)):
         assert a.transform.indexToWorld(p) == b.transform.indexToWorld(p)
-    clean = lambda grid: {k: v for k, v in grid.metadata.items() if not k.startswith(stats)}
+    assert a.saveFloatAsHalf == b.saveFloatAsHalf == (name == "v")
+    clean = lambda grid: {k: v for k, v in grid.metadata.items() if not k.startswith("file_")}
     assert clean(a) == clean(b), (clean(a), clean(b))
     for values in ("iterOnValues", "iterOffValues"):
         for x, y in zip(getattr(a, values)(), getattr(b, values)(), strict=True):

@@ -20,7 +20,7 @@ from geokit.errors import (
     MissingDependencyError,
     UnsupportedGridError,
 )
-from geokit.volume import inspect, load, load_all, save
+from geokit.volume import clip, inspect, load, load_all, resample, save
 from geokit.volume._io import unique_names
 from geokit.volume._model import SparseVolume
 
@@ -103,6 +103,50 @@ def test_openvdb_keeps_metadata_and_halves(tmp_path):
     told = inspect(tmp_path / "x.vdb")[0]
     assert (told.name, told.grid_type, told.grid_class) == ("sphere", "float", "level set")
     assert told.active_voxel_count == volume.info.active_voxel_count
+
+
+@pytest.fixture
+def halves(tmp_path):
+    """A .vdb file of two grids with 16 bits, and with metadata of its own."""
+    told = {"geokit:file:creator": "Houdini", "geokit:file:frame": np.int32(7)}
+    path = tmp_path / "halves.vdb"
+    named = [dataclasses.replace(sphere(12.0).info, name=name, metadata=told) for name in ("density", "heat")]
+    save(path, *(dataclasses.replace(sphere(12.0), info=info) for info in named), half=True)
+    return path
+
+
+@with_openvdb
+@pytest.mark.parametrize("trusted", [False, True])
+@pytest.mark.parametrize("way", [(".vdb",), (".nvdb", ".vdb")])
+def test_a_copy_has_sixteen_bits_and_the_metadata_of_the_file(tmp_path, halves, way, trusted):
+    read, path = load_all(halves, trusted=trusted), halves
+    for kind in way:
+        save(copy := tmp_path / f"copy{kind}", *load_all(path).values())
+        path = copy
+    found = load_all(path, trusted=trusted)
+    assert list(found) == list(read)
+    assert abs(path.stat().st_size - halves.stat().st_size) <= 0.03 * halves.stat().st_size
+    told = {"geokit:file:creator": "Houdini", "geokit:file:frame": 7, "is_saved_as_half_float": True}
+    for one, other in zip(read.values(), found.values(), strict=True):
+        assert np.array_equal(one.nanovdb, other.nanovdb)
+        assert one.info.metadata == other.info.metadata == told
+    assert [info.metadata for info in inspect(path)] == [told, told]
+    # One grid alone, and a part of it.
+    save(path, clip(load(halves, grid="heat"), [[-8.0] * 3, [8.0] * 3]))
+    assert load(path).info.metadata == told
+
+
+@with_openvdb
+def test_computed_values_are_not_rounded(tmp_path, halves):
+    volume = load(halves)
+    moved = resample(volume, voxel_size=0.8 * float(volume.info.voxel_size[0]), device="cpu")
+    save(tmp_path / "moved.vdb", moved)
+    found = load(tmp_path / "moved.vdb")
+    assert np.array_equal(values_of(found), values_of(moved))
+    assert found.info.metadata == {"geokit:file:creator": "Houdini", "geokit:file:frame": 7}
+    save(tmp_path / "rounded.vdb", moved, half=True)
+    assert inspect(tmp_path / "rounded.vdb")[0].metadata == volume.info.metadata
+    assert (tmp_path / "rounded.vdb").stat().st_size < 0.7 * (tmp_path / "moved.vdb").stat().st_size
 
 
 def test_files_are_replaced_whole(tmp_path):

@@ -19,16 +19,23 @@ std::string read_vdb(const std::string& path, const std::vector<std::string>& na
 {
     VdbFile file(path);
     auto grids = file.read(names);
-    const auto json = to_json(grids);
+    const auto json = to_json(grids, file.metadata());
     for (auto& grid : grids) buffers.push_back(std::move(grid.buffer));
     return json;
 }
 
-std::string inspect_vdb(const std::string& path) { return to_json(VdbFile(path).inspect()); }
+std::string inspect_vdb(const std::string& path)
+{
+    VdbFile file(path);
+    return to_json(file.inspect(), file.metadata());
+}
 
 std::string spool_vdb(
     const std::string& path, const std::vector<std::string>& names, const std::string& spool, uint64_t spool_limit)
-{ return to_json(VdbFile(path).read(names, spool, spool_limit)); }
+{
+    VdbFile file(path);
+    return to_json(file.read(names, spool, spool_limit), file.metadata());
+}
 
 std::string openvdb_version()
 {

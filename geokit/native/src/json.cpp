@@ -48,6 +48,13 @@ std::string item_json(const MetadataItem& item)
         + ", \"hex\": " + hexadecimal(item.bytes) + "}";
 }
 
+std::string metadata_json(const std::vector<MetadataItem>& items)
+{
+    std::string out = "\"metadata\": [";
+    for (size_t i = 0; i < items.size(); ++i) out += (i ? ", " : "") + item_json(items[i]);
+    return out + "]";
+}
+
 std::string transform_json(const Affine& affine)
 {
     std::string out = "[";
@@ -80,29 +87,27 @@ std::string fields(const GridHeader& header)
     out += std::string(", \"half\": ") + (header.is_half ? "true" : "false");
     out += std::string(", \"convertible\": ") + (header.is_convertible ? "true" : "false");
     out += ", \"byte_count\": " + std::to_string(header.byte_count);
-    out += ", \"metadata\": [";
-    for (size_t i = 0; i < header.metadata.size(); ++i) out += (i ? ", " : "") + item_json(header.metadata[i]);
-    return out + "]";
+    return out + ", " + metadata_json(header.metadata);
 }
 
 template<typename T, typename Fields>
-std::string list(const std::vector<T>& items, Fields&& fields_of)
+std::string list(const std::vector<T>& items, const std::vector<MetadataItem>& file_metadata, Fields&& fields_of)
 {
     std::string out = "{\"grids\": [";
     for (size_t i = 0; i < items.size(); ++i) out += (i ? ", {" : "{") + fields_of(items[i]) + "}";
-    return out + "]}";
+    return out + "], " + metadata_json(file_metadata) + "}";
 }
 
 } // namespace
 
-std::string to_json(const std::vector<GridHeader>& headers)
+std::string to_json(const std::vector<GridHeader>& headers, const std::vector<MetadataItem>& file_metadata)
 {
-    return list(headers, [](const GridHeader& header) { return fields(header); });
+    return list(headers, file_metadata, [](const GridHeader& header) { return fields(header); });
 }
 
-std::string to_json(const std::vector<ReadGrid>& grids)
+std::string to_json(const std::vector<ReadGrid>& grids, const std::vector<MetadataItem>& file_metadata)
 {
-    return list(grids, [](const ReadGrid& grid) {
+    return list(grids, file_metadata, [](const ReadGrid& grid) {
         return fields(grid.header) + ", \"path\": " + quoted(grid.path) + ", \"size\": " + std::to_string(grid.size);
     });
 }

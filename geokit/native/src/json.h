@@ -9,8 +9,8 @@
 
 namespace geokit {
 
-// {"grids": [{"name": ..., ...}, ...]}; numbers keep all their bits, metadata is hexadecimal.
-std::string to_json(const std::vector<GridHeader>& headers);
-std::string to_json(const std::vector<ReadGrid>& grids);
+// {"grids": [{"name": ..., ...}, ...], "metadata": [...]}; numbers keep all their bits, metadata is hexadecimal.
+std::string to_json(const std::vector<GridHeader>& headers, const std::vector<MetadataItem>& file_metadata);
+std::string to_json(const std::vector<ReadGrid>& grids, const std::vector<MetadataItem>& file_metadata);
 
 } // namespace geokit

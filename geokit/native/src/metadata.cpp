@@ -20,10 +20,20 @@ std::string bytes_of(const openvdb::Metadata& item)
 bool describes_the_file(const std::string& name)
 {
     using openvdb::GridBase;
-    return name == GridBase::META_SAVE_HALF_FLOAT || name == GridBase::META_FILE_BBOX_MIN
-        || name == GridBase::META_FILE_BBOX_MAX || name == GridBase::META_FILE_COMPRESSION
-        || name == GridBase::META_FILE_MEM_BYTES || name == GridBase::META_FILE_VOXEL_COUNT
-        || name == GridBase::META_FILE_DELAYED_LOAD;
+    return name == GridBase::META_FILE_BBOX_MIN || name == GridBase::META_FILE_BBOX_MAX
+        || name == GridBase::META_FILE_COMPRESSION || name == GridBase::META_FILE_MEM_BYTES
+        || name == GridBase::META_FILE_VOXEL_COUNT || name == GridBase::META_FILE_DELAYED_LOAD;
+}
+
+template<typename Keep>
+std::vector<MetadataItem> items_of(const openvdb::MetaMap& map, Keep&& keep)
+{
+    std::vector<MetadataItem> items;
+    for (auto it = map.beginMeta(); it != map.endMeta(); ++it) {
+        if (!it->second || !keep(it->first)) continue;
+        items.push_back({it->first, it->second->typeName(), bytes_of(*it->second)});
+    }
+    return items;
 }
 
 } // namespace
@@ -31,18 +41,20 @@ bool describes_the_file(const std::string& name)
 std::vector<MetadataItem> metadata_of(const openvdb::GridBase& grid)
 {
     using openvdb::GridBase;
-    std::vector<MetadataItem> items;
-    for (auto it = grid.beginMeta(); it != grid.endMeta(); ++it) {
-        const std::string& name = it->first;
-        if (!it->second || describes_the_file(name) || name == GridBase::META_GRID_NAME) continue;
+    return items_of(grid, [&](const std::string& name) {
+        if (describes_the_file(name) || name == GridBase::META_GRID_NAME) return false;
+        if (name == GridBase::META_SAVE_HALF_FLOAT) return grid.saveFloatAsHalf();
         // A class that NanoVDB's converter does not allow for this type is stored here instead.
-        if (name == GridBase::META_GRID_CLASS && class_after_round_trip(grid) == grid.getGridClass()) continue;
-        items.push_back({name, it->second->typeName(), bytes_of(*it->second)});
-    }
-    return items;
+        return name != GridBase::META_GRID_CLASS || class_after_round_trip(grid) != grid.getGridClass();
+    });
 }
 
-void set_metadata(openvdb::GridBase& grid, const std::vector<MetadataItem>& items)
+std::vector<MetadataItem> metadata_of(const openvdb::MetaMap& file)
+{
+    return items_of(file, [](const std::string&) { return true; });
+}
+
+void set_metadata(openvdb::MetaMap& target, const std::vector<MetadataItem>& items)
 {
     for (const auto& item : items) {
         const bool is_known = openvdb::Metadata::isRegisteredType(item.type);
@@ -57,8 +69,8 @@ void set_metadata(openvdb::GridBase& grid, const std::vector<MetadataItem>& item
         std::istringstream stream(
             std::string(reinterpret_cast<const char*>(&length), sizeof length) + item.bytes, std::ios::binary);
         metadata->read(stream);
-        grid.removeMeta(item.name); // insertMeta() refuses to change a type
-        grid.insertMeta(item.name, *metadata);
+        target.removeMeta(item.name); // insertMeta() refuses to change a type
+        target.insertMeta(item.name, *metadata);
     }
 }
 

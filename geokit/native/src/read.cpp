@@ -24,6 +24,9 @@ constexpr size_t kStreamBufferSize = size_t(1) << 20;
 constexpr int64_t kHeaderSize = 8 + 4 + 2 * 4 + 1 + 36;
 constexpr int64_t kVersionOffset = 8;
 
+// Every grid is given the file's metadata, so a small file of many items and many grids could fill the memory.
+constexpr int64_t kMostMetadata = 1000000;
+
 [[noreturn]] void damaged(const std::string& what) { throw BridgeError("damaged", what); }
 
 // Exceptions of OpenVDB and the standard library during parsing mean that the bytes are not those of a .vdb file.
@@ -67,8 +70,13 @@ void VdbFile::read_descriptors()
     setDataCompression(stream_);
     openvdb::MetaMap file_metadata;
     file_metadata.readMeta(stream_);
+    metadata_ = metadata_of(file_metadata);
     const int32_t count = readGridCount(stream_);
     if (count <= 0) damaged("it holds no grids");
+    if (int64_t(metadata_.size()) > kMostMetadata / count) {
+        damaged("it says that it has " + std::to_string(count) + " grids and " + std::to_string(metadata_.size())
+            + " metadata of its own");
+    }
     for (int32_t i = 0; i < count; ++i) {
         Entry entry{read_descriptor(), nullptr};
         if (inputHasGridOffsets()) {

@@ -51,6 +51,9 @@ public:
     // Throws BridgeError("access") or ("damaged").
     explicit VdbFile(const std::string& path);
 
+    // Metadata of the file itself.
+    const std::vector<MetadataItem>& metadata() const { return metadata_; }
+
     // Headers of all grids, no voxels.
     std::vector<GridHeader> inspect();
 
@@ -85,6 +88,7 @@ private:
     PulsedFile buffer_;
     std::istream stream_{&buffer_};
     int64_t file_size_ = 0;
+    std::vector<MetadataItem> metadata_;
     std::vector<Entry> entries_;
 };
 

@@ -31,7 +31,8 @@ class GridInfo:
             state it.
         index_bounds: First and last active voxel, shape (2, 3) int64, both inclusive; None if no voxel is active.
         byte_count: Size of the NanoVDB buffer, or of the grid in its file if only its header was read.
-        metadata: The OpenVDB metadata of the grid (strings, numbers, tuples, bytes), read-only.
+        metadata: The OpenVDB metadata of the grid (strings, numbers, tuples, bytes), read-only; those of its .vdb file
+            have "geokit:file:" before their names.
     """
 
     name: str

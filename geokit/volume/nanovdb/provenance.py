@@ -19,6 +19,7 @@ The keys are stored in .vdb as OpenVDB metadata and in .nvdb as a channel of bli
 ``geokit:meters_per_unit``    length of that unit [m], where it is none of these
 ``geokit:up_axis``            axis of the world that points up, if its source said so: x, y or z
 ``geokit:version``            version of geokit that made the volume
+``geokit:file:NAME``          metadata NAME of the .vdb file itself, which the next one gets (geokit.native)
 ============================  =============================================================================
 """
 
