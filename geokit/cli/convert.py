@@ -517,7 +517,10 @@ def _volume_to_mesh(
         meshing.result = f"{len(mesh.faces)} faces"
         if len(mesh.faces) == 0:
             isovalue = how["isovalue"] or 0.0
-            raise InputError(f"{source}: grid {volume.info.name!r} has no surface at {isovalue:g}; choose --isovalue")
+            raise InputError(
+                f"{source}: grid {volume.info.name!r} has no surface at {isovalue:g}; choose --isovalue in the range "
+                "of values that geokit info prints"
+            )
         save(target, mesh)
     return {"grid": volume.info.name, "vertices": len(mesh.vertices), "faces": len(mesh.faces), **achieved}
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,7 +10,8 @@ from cyclopts import Parameter
 
 from geokit.cli._console import print_facts, print_json, step
 from geokit.cli._kinds import FiniteOnly, kind_of_input, load_cloud, refuse_unused
-from geokit.core.files import size_of
+from geokit.core.files import extension, size_of
+from geokit.errors import GeokitError
 
 __all__ = ["info"]
 
@@ -25,8 +27,8 @@ def info(
 ) -> None:
     """Describe a mesh, a volume or a point cloud.
 
-    The audit of a mesh says whether it is closed, manifold and consistently oriented. The voxels of a volume are not
-    read if the format allows that.
+    The audit of a mesh says whether it is closed, manifold and consistently oriented. The voxels of a volume are read
+    for the range of its values in a .vdb or .nvdb of up to 64 MiB, and else only if the format demands it.
 
     Args:
         file: A mesh (.obj .ply .stl .usd ...), a volume (.vdb .nvdb .nii .nrrd ...) or a point cloud (.csv .pcd .las
@@ -58,9 +60,12 @@ def info(
         print()
         metadata = grid.pop("metadata")
         # Of a dense file only the header is read, and it need not say what lies around.
-        for name, what in (("active_voxel_count", "not asked (no voxel is read)"), ("background", "not stated")):
-            if grid[name] is None:
-                grid[name] = what
+        unknown = {
+            "active_voxel_count": "not asked (no voxel is read)",
+            "background": "not stated",
+            "value_range": "not known (geokit volume statistics asks each voxel)",
+        }
+        grid.update({name: what for name, what in unknown.items() if grid.get(name, "") is None})
         if isinstance(grid["transform"], str):
             grid["transform"] = "frustum (voxels widen away from a camera); geokit does not read it, resample it first"
             grid["voxel_size"] = grid["world_bounds"] = "not the same everywhere"
@@ -108,10 +113,33 @@ def _described(material: Any) -> str:
 
 
 def _describe_volume(path: Path) -> dict[str, Any]:
+    from geokit.formats.table import SPARSE
     from geokit.volume import inspect
+    from geokit.volume._io import READ_AT_ONCE, unique_names
 
     grids = inspect(path)
-    return {"grid_count": len(grids), "grids": [_describe_grid(grid) for grid in grids]}
+    described = [_describe_grid(grid) for grid in grids]
+    if extension(path) in SPARSE:
+        names = unique_names([grid.name for grid in grids])
+        ranges = _value_ranges(path, names) if size_of(path) <= READ_AT_ONCE else {}
+        for grid, name in zip(described, names, strict=True):
+            grid["value_range"] = ranges.get(name)
+    return {"grid_count": len(grids), "grids": described}
+
+
+def _value_ranges(path: Path, names: list[str]) -> dict[str, tuple[float, float] | None]:
+    """Smallest and largest value of the active voxels of each grid, without those that cannot be loaded."""
+    from geokit.volume import load, load_all
+    from geokit.volume.nanovdb.header import value_range
+
+    try:
+        return {name: value_range(volume.nanovdb) for name, volume in load_all(path).items()}
+    except GeokitError:  # one of them
+        found = {}
+        for name in names:
+            with contextlib.suppress(GeokitError):
+                found[name] = value_range(load(path, grid=name).nanovdb)
+        return found
 
 
 def _describe_grid(grid: Any) -> dict[str, Any]:

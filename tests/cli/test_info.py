@@ -8,6 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import geokit as gk
+from benchmarks.catalog.sphere_volumes import sphere
+from geokit.errors import UnsupportedGridError
+from geokit.volume import _io
+from tests.support.analytic_volumes import field
+
 
 @pytest.mark.slow
 def test_a_closed_mesh(geokit, cube: Path) -> None:
@@ -53,6 +59,30 @@ def test_a_volume(geokit, cube_sdf: Path) -> None:
     assert grid["active_voxel_count"] > 1000
     text = geokit("info", cube_sdf).stdout
     assert "level set" in text
+
+
+def refused(path: Path) -> None:
+    raise UnsupportedGridError(f"{path}: a frustum")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["vdb", "nvdb"])
+def test_the_range_of_values_of_each_grid(geokit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str) -> None:
+    if kind == "vdb":
+        pytest.importorskip("geokit.native._bridge")
+    path = tmp_path / f"two.{kind}"
+    flow = field(lambda p: p + 9.0, background=np.zeros(3), leaves=1, name="flow")
+    gk.volume.save(path, sphere(12.0), flow, gk.volume.from_dense(np.zeros((1, 1, 1), np.float32), name="nothing"))
+    report = json.loads(geokit("info", path, "--json").stdout)
+    for grid in report["grids"][:2]:
+        found = gk.volume.statistics(gk.volume.load(path, grid=grid["grid"]))
+        assert grid["value_range"] == pytest.approx([found.minimum, found.maximum], rel=1e-6)
+    assert report["grids"][2]["value_range"] is None
+    with monkeypatch.context() as patched:  # as where one of them cannot be read
+        patched.setattr(gk.volume, "load_all", refused)
+        assert json.loads(geokit("info", path, "--json").stdout) == report
+    monkeypatch.setattr(_io, "READ_AT_ONCE", 0)
+    assert geokit("info", path).stdout.count("not known (geokit volume statistics asks each voxel)") == 3
 
 
 @pytest.mark.slow

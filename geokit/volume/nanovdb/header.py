@@ -20,7 +20,7 @@ from geokit.core.require import described, require_text
 from geokit.errors import FileFormatError, InputError, UnsupportedGridError
 from geokit.volume.nanovdb.grid_info import GridInfo
 from geokit.volume.nanovdb.layout import LAYOUTS, GridLayout, layout_of, type_name
-from geokit.volume.nanovdb.types import GRID_CLASSES
+from geokit.volume.nanovdb.types import BY_NAME, GRID_CLASSES
 
 __all__ = [
     "FLAG_BREADTH_FIRST",
@@ -47,6 +47,7 @@ __all__ = [
     "require_header",
     "require_supported",
     "tree_header",
+    "value_range",
     "version_text",
     "voxel_size_of",
 ]
@@ -281,6 +282,26 @@ def encoded_name(name: str) -> bytes:
         return require_text(name, "name").encode("utf-8", "surrogateescape")
     except UnicodeEncodeError as error:
         raise InputError(f"name: {described(name)} has characters that no file can hold; use others") from error
+
+
+def value_range(buffer: NDArray[np.uint8]) -> tuple[float, float] | None:
+    """Smallest and largest value of the active voxels of a grid, for vectors of their lengths, as its root says.
+
+    None if it says neither, if no voxel is active, and of bits, indices and colors.
+    """
+    grid, tree = grid_header(buffer), tree_header(buffer)
+    kind = BY_NAME.get(type_name(int(grid["grid_type"])))
+    if kind is None or not kind.has_values or kind.family in ("bool", "mask", "color"):
+        return None
+    if not int(grid["flags"]) & FLAG_HAS_MIN_MAX or not tree["voxel_count"]:
+        return None
+    layout = LAYOUTS[kind.name]
+    start = TREE_OFFSET + int(tree["node_offset"][3]) + layout.root_background + layout.background.itemsize
+    limits = buffer[start : start + 2 * layout.background.itemsize].copy().view(layout.background.base)
+    low, high = limits.astype(np.float64).reshape(2, -1)
+    return (
+        (float(low[0]), float(high[0])) if len(low) == 1 else (float(np.linalg.norm(low)), float(np.linalg.norm(high)))
+    )
 
 
 def _background(buffer: NDArray[np.uint8], root: int, layout: GridLayout) -> Any:
