@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from geokit.volume._model import SparseVolume
 
 __all__ = [
+    "Device",
     "FiniteOnly",
     "Kind",
     "UpAxis",
@@ -38,7 +39,10 @@ __all__ = [
 
 Kind = Literal["mesh", "volume", "cloud"]
 UpAxis = Annotated[Literal["x", "y", "z", "-x", "-y", "-z"], Parameter(allow_leading_hyphen=True)]
-FiniteOnly = Annotated[bool, Parameter(negative="--no-finite-only")]
+_FINITE = "Leave out points that are not finite, with a notice; --no-finite-only refuses such files."
+FiniteOnly = Annotated[bool, Parameter(negative="--no-finite-only", help=_FINITE)]
+_DEVICE = "Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU."
+Device = Annotated[str | None, Parameter(help=_DEVICE)]
 
 # Headers of .ply end within this; the counts in a .vtp stand in its first element.
 _HEAD_BYTES = 1 << 16

@@ -12,6 +12,7 @@ from cyclopts import CycloptsError, Parameter
 from geokit.cli._batch import run_batch, targets_in
 from geokit.cli._console import announce_compiling, note, print_json, say, step
 from geokit.cli._kinds import (
+    Device,
     FiniteOnly,
     Kind,
     grid_names,
@@ -62,7 +63,7 @@ def convert(
     background: float | None = None,
     background_tolerance: float | None = None,
     grid_type: str | None = None,
-    device: str | None = None,
+    device: Device = None,
     finite_only: FiniteOnly = True,
     unit: str | None = None,
     up: str | None = None,
@@ -116,8 +117,6 @@ def convert(
             file says, else the negative value that more than half of the border of its first slice has, else 0.
         background_tolerance: From a dense volume: largest difference from the background that still counts as it.
         grid_type: Dense volume to volume: type of the grid, such as float or int32; by default that of the values.
-        device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
-        finite_only: Leave out points that are not finite, with a notice; --no-finite-only refuses such files.
         unit: From a mesh: the unit of what is made, mm, cm, m, km, um, in or ft. Positions are scaled from the unit
             that the file or from-unit says, and lengths of other options are in the new one.
         up: From a mesh: the axis that points up in what is made, x, y or z; the mesh is turned by a quarter.

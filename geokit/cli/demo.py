@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from geokit.cli._console import announce_compiling, note, print_json, print_table, say
+from geokit.cli._kinds import Device
 from geokit.errors import FileAccessError, InputError
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ def demo(
     *,
     out: Path = Path("demo"),
     mesh: Path | None = None,
-    device: str | None = None,
+    device: Device = None,
     figures: Literal["png", "svg", "pdf"] = "png",
     force: Flag = False,
     json: Flag = False,
@@ -49,7 +50,6 @@ def demo(
     Args:
         out: Folder for the results; created if missing.
         mesh: A mesh file; by default the Stanford bunny.
-        device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
         figures: Format of the chart of accuracy and of the slice; pictures of surfaces are .png always.
         force: Replace earlier results in the folder.
         json: Print the closing table as JSON.

@@ -33,7 +33,6 @@ def info(
     Args:
         file: A mesh (.obj .ply .stl .usd ...), a volume (.vdb .nvdb .nii .nrrd ...) or a point cloud (.csv .pcd .las
             ...).
-        finite_only: Leave out points that are not finite, with a notice; --no-finite-only refuses such files.
         columns: Of a table of points (.csv .xyz .txt): names of the columns of x, y and z, as in east,north,up.
         stream: Read a mesh in a binary .stl or .ply block after block, so that it need not fit into memory.
         json: Print JSON.

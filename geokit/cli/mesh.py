@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import App, Parameter
 
 from geokit.cli._console import announce_compiling, print_json, say, step
-from geokit.cli._kinds import may_write
+from geokit.cli._kinds import Device, may_write
 from geokit.errors import InputError
 from geokit.formats.foreign import require_format
 
@@ -25,34 +26,51 @@ Target = Annotated[Path, Parameter(name="OUT")]
 Point = tuple[float, float, float]
 
 
-def _deliver(made: TriangleMesh, target: Path, *, force: bool, json: bool) -> None:
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Common:
+    """Options of all commands."""
+
+    force: Flag = False
+    """Replace an existing output."""
+    json: Flag = False
+    """Print a summary as JSON."""
+
+
+DEFAULTS = Common()
+
+
+def _deliver(made: TriangleMesh, target: Path, common: Common) -> None:
     """Write a mesh, and say what it is."""
     from geokit.mesh import save
 
-    may_write(target, "mesh", force=force)
-    with step(f"writing {target}", quiet=json):
+    may_write(target, "mesh", force=common.force)
+    with step(f"writing {target}", quiet=common.json):
         save(target, made)
     summary: dict[str, Any] = {"target": str(target), "vertices": made.vertex_count, "faces": made.face_count}
-    if json:
+    if common.json:
         print_json(summary)
     else:
         say(f"{target}: vertices {made.vertex_count}, faces {made.face_count}")
 
 
+def _write(target: Path, common: Common, body: str, *sizes: Any, **options: Any) -> None:
+    """Write a simple body of ``geokit.mesh``."""
+    from geokit import mesh
+
+    _deliver(getattr(mesh, body)(*sizes, **options), target, common)
+
+
 @app.command
-def box(target: Target, /, *, size: Point, center: Point = (0, 0, 0), force: Flag = False, json: Flag = False) -> None:
+def box(target: Target, /, *, size: Point, center: Point = (0, 0, 0), common: Common = DEFAULTS) -> None:
     """Write a box along the axes.
 
     Args:
         target: The file to write.
         size: Its lengths along x, y and z.
         center: Its middle.
-        force: Replace an existing output.
-        json: Print a summary as JSON.
     """
-    from geokit import mesh
-
-    _deliver(mesh.box(size, center=center), target, force=force, json=json)
+    _write(target, common, "box", size, center=center)
 
 
 @app.command
@@ -63,8 +81,7 @@ def sphere(
     radius: float,
     segments: int = 48,
     center: Point = (0, 0, 0),
-    force: Flag = False,
-    json: Flag = False,
+    common: Common = DEFAULTS,
 ) -> None:
     """Write a sphere.
 
@@ -73,12 +90,8 @@ def sphere(
         radius: Its radius.
         segments: Triangles around it.
         center: Its middle.
-        force: Replace an existing output.
-        json: Print a summary as JSON.
     """
-    from geokit import mesh
-
-    _deliver(mesh.sphere(radius, segments=segments, center=center), target, force=force, json=json)
+    _write(target, common, "sphere", radius, segments=segments, center=center)
 
 
 @app.command
@@ -90,8 +103,7 @@ def cylinder(
     height: float,
     segments: int = 48,
     center: Point = (0, 0, 0),
-    force: Flag = False,
-    json: Flag = False,
+    common: Common = DEFAULTS,
 ) -> None:
     """Write a cylinder around z.
 
@@ -101,12 +113,8 @@ def cylinder(
         height: Its length along z.
         segments: Quads around it.
         center: Its middle.
-        force: Replace an existing output.
-        json: Print a summary as JSON.
     """
-    from geokit import mesh
-
-    _deliver(mesh.cylinder(radius, height, segments=segments, center=center), target, force=force, json=json)
+    _write(target, common, "cylinder", radius, height, segments=segments, center=center)
 
 
 @app.command
@@ -118,8 +126,7 @@ def cone(
     height: float,
     segments: int = 48,
     center: Point = (0, 0, 0),
-    force: Flag = False,
-    json: Flag = False,
+    common: Common = DEFAULTS,
 ) -> None:
     """Write a cone around z, with its tip above.
 
@@ -129,12 +136,8 @@ def cone(
         height: Its length along z.
         segments: Triangles around it.
         center: The middle between base and tip.
-        force: Replace an existing output.
-        json: Print a summary as JSON.
     """
-    from geokit import mesh
-
-    _deliver(mesh.cone(radius, height, segments=segments, center=center), target, force=force, json=json)
+    _write(target, common, "cone", radius, height, segments=segments, center=center)
 
 
 @app.command
@@ -147,8 +150,7 @@ def torus(
     segments: int = 48,
     tube_segments: int = 24,
     center: Point = (0, 0, 0),
-    force: Flag = False,
-    json: Flag = False,
+    common: Common = DEFAULTS,
 ) -> None:
     """Write a torus around z.
 
@@ -159,13 +161,8 @@ def torus(
         segments: Quads around the axis.
         tube_segments: Quads around the tube.
         center: Its middle.
-        force: Replace an existing output.
-        json: Print a summary as JSON.
     """
-    from geokit import mesh
-
-    made = mesh.torus(radius, tube_radius, segments=segments, tube_segments=tube_segments, center=center)
-    _deliver(made, target, force=force, json=json)
+    _write(target, common, "torus", radius, tube_radius, segments=segments, tube_segments=tube_segments, center=center)
 
 
 @app.command
@@ -176,8 +173,7 @@ def plane(
     size: tuple[float, float],
     segments: int = 1,
     center: Point = (0, 0, 0),
-    force: Flag = False,
-    json: Flag = False,
+    common: Common = DEFAULTS,
 ) -> None:
     """Write a rectangle that faces along z.
 
@@ -186,42 +182,34 @@ def plane(
         size: Its lengths along x and y.
         segments: Quads along each side.
         center: Its middle.
-        force: Replace an existing output.
-        json: Print a summary as JSON.
     """
-    from geokit import mesh
-
-    _deliver(mesh.plane(size, segments=segments, center=center), target, force=force, json=json)
+    _write(target, common, "plane", size, segments=segments, center=center)
 
 
 @app.command
-def split(
-    source: Source, target: Target, /, *, by: str = "components", force: Flag = False, json: Flag = False
-) -> None:
+def split(source: Source, target: Target, /, *, by: str = "components", common: Common = DEFAULTS) -> None:
     """Write the pieces of a mesh, each to a file of its own: OUT-1.ply, OUT-2.ply, ... for OUT.ply.
 
     Args:
         source: The mesh to read.
         target: The name of the files to write, to which the numbers are added.
         by: What a piece is: components (connected faces), parts (named ranges of faces) or materials.
-        force: Replace existing outputs.
-        json: Print a summary as JSON.
     """
     from geokit.mesh import load, save
     from geokit.mesh import split as split_mesh
 
     require_format(target, "mesh", "w")
-    with step(f"splitting {source}", quiet=json) as splitting:
+    with step(f"splitting {source}", quiet=common.json) as splitting:
         pieces = split_mesh(load(source), by=by)
         splitting.result = f"{len(pieces)} pieces"
         digits = len(str(len(pieces)))
         targets = [target.with_stem(f"{target.stem}-{number + 1:0{digits}}") for number in range(len(pieces))]
         for path in targets:
-            may_write(path, force=force)
+            may_write(path, force=common.force)
         for path, piece in zip(targets, pieces, strict=True):
             save(path, piece)
     rows = [{"target": str(p), "name": m.name, "faces": len(m)} for p, m in zip(targets, pieces, strict=True)]
-    if json:
+    if common.json:
         print_json({"source": str(source), "pieces": rows})
     else:
         for row in rows:
@@ -236,8 +224,7 @@ def keep_largest(
     *,
     count: int = 1,
     share: float | None = None,
-    force: Flag = False,
-    json: Flag = False,
+    common: Common = DEFAULTS,
 ) -> None:
     """Keep the connected components with the largest area.
 
@@ -246,15 +233,13 @@ def keep_largest(
         target: The mesh to write.
         count: How many to keep.
         share: Keep all with at least this share of the largest one's area, from 0 to 1, whatever --count is.
-        force: Replace an existing output.
-        json: Print a summary as JSON.
     """
     from geokit import mesh
 
-    may_write(target, "mesh", force=force)
-    with step(f"splitting {source}", quiet=json):
+    may_write(target, "mesh", force=common.force)
+    with step(f"splitting {source}", quiet=common.json):
         found = mesh.keep_largest(mesh.load(source), count, share=share)
-    _deliver(found, target, force=force, json=json)
+    _deliver(found, target, common)
 
 
 @app.command
@@ -267,8 +252,7 @@ def transform(
     scale: float = 1.0,
     rotate: tuple[float, float, float, float] | None = None,
     matrix: Annotated[list[float] | None, Parameter(consume_multiple=True, negative="")] = None,
-    force: Flag = False,
-    json: Flag = False,
+    common: Common = DEFAULTS,
 ) -> None:
     """Scale a mesh, then rotate it, then move it; or apply a matrix. Normals follow.
 
@@ -279,14 +263,12 @@ def transform(
         scale: Factor; a negative one mirrors.
         rotate: Axis and angle in degrees: x y z angle.
         matrix: The 16 numbers of a matrix for column vectors, row by row, in place of the others.
-        force: Replace an existing output.
-        json: Print a summary as JSON.
     """
     import numpy as np
 
     from geokit import mesh
 
-    may_write(target, "mesh", force=force)
+    may_write(target, "mesh", force=common.force)
     if matrix is None:
         table = np.eye(4)
         table[:3, :3] = scale * _rotation(rotate)
@@ -295,9 +277,9 @@ def transform(
         raise InputError(f"--matrix: {len(matrix)} numbers are given; give 16, and no --move, --scale or --rotate")
     else:
         table = np.reshape(matrix, (4, 4))
-    with step(f"reading {source}", quiet=json):
+    with step(f"reading {source}", quiet=common.json):
         found = mesh.load(source)
-    _deliver(mesh.transform(found, table), target, force=force, json=json)
+    _deliver(mesh.transform(found, table), target, common)
 
 
 def _rotation(given: tuple[float, float, float, float] | None) -> Any:
@@ -323,9 +305,8 @@ def transfer(
     /,
     *,
     name: Annotated[list[str] | None, Parameter(negative="")] = None,
-    device: str | None = None,
-    force: Flag = False,
-    json: Flag = False,
+    device: Device = None,
+    common: Common = DEFAULTS,
 ) -> None:
     """Give a mesh the attributes of another one at closest points of the same side: colors, any array.
 
@@ -334,14 +315,11 @@ def transfer(
         other: The mesh that has them.
         target: The mesh to write.
         name: An attribute; may be given several times. By default all.
-        device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
-        force: Replace an existing output.
-        json: Print a summary as JSON.
     """
     from geokit import mesh
 
-    may_write(target, "mesh", force=force)
+    may_write(target, "mesh", force=common.force)
     announce_compiling()
-    with step(f"taking attributes from {other}", quiet=json):
+    with step(f"taking attributes from {other}", quiet=common.json):
         found = mesh.transfer_attributes(mesh.load(source), mesh.load(other), names=name, device=device)
-    _deliver(found, target, force=force, json=json)
+    _deliver(found, target, common)

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from geokit.cli._console import announce_compiling, note, print_json, print_table, step
-from geokit.cli._kinds import kind_of_input
+from geokit.cli._kinds import Device, kind_of_input
 from geokit.errors import InputError
 
 __all__ = ["plan"]
@@ -28,7 +28,7 @@ def plan(
     sign: str = "auto",
     thickness: float | None = None,
     interior: str = "remove",
-    device: str | None = None,
+    device: Device = None,
     json: Annotated[bool, Parameter(negative="")] = False,
 ) -> None:
     """List the distance fields of a mesh that keep a tolerance, with the memory, time and error to expect.
@@ -47,7 +47,6 @@ def plan(
         sign: Method that decides inside or outside: auto, winding, pseudonormal, parity, or none.
         thickness: Make a solid shell of this thickness around the surface, in world units.
         interior: What happens to surface inside of solids: remove, or keep.
-        device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
         json: Print JSON.
     """
     if kind_of_input(file) != "mesh":

@@ -11,7 +11,7 @@ import numpy as np
 from cyclopts import App, Parameter
 
 from geokit.cli._console import announce_compiling, step
-from geokit.cli._kinds import FiniteOnly, kind_of_input, load_cloud, load_grid, load_rays
+from geokit.cli._kinds import Device, FiniteOnly, kind_of_input, load_cloud, load_grid, load_rays
 from geokit.cli._results import OUTPUT_EXTENSIONS, check_output, deliver
 from geokit.core.files import extension
 from geokit.errors import InputError
@@ -25,6 +25,10 @@ app = App(name="query", help="Find closest points, signed distances, ray hits, s
 PERCENTILES = (5, 50, 95)
 
 Flag = Annotated[bool, Parameter(negative="")]
+Force = Annotated[bool, Parameter(negative="", help="Replace an existing output.")]
+Json = Annotated[bool, Parameter(negative="", help="Print the summary as JSON.")]
+_TABLE = "From a table of points (.csv .xyz .txt): names of the columns of x, y and z, as in east,north,up; by default "
+Columns = Annotated[str | None, Parameter(help=_TABLE + "their names tell.")]
 Output = Annotated[Path | None, Parameter(name=["--output", "-o"], allow_leading_hyphen=True)]
 
 
@@ -37,11 +41,11 @@ def closest(
     *,
     output: Output = None,
     max_distance: float = math.inf,
-    device: str | None = None,
+    device: Device = None,
     finite_only: FiniteOnly = True,
-    columns: str | None = None,
-    force: Flag = False,
-    json: Flag = False,
+    columns: Columns = None,
+    force: Force = False,
+    json: Json = False,
 ) -> None:
     """Find the closest point on a mesh for each point.
 
@@ -50,12 +54,6 @@ def closest(
         points: Points ({formats}).
         output: {outputs}, or - for CSV on stdout; by default only a summary is printed.
         max_distance: Search radius in world units; farther points are misses (triangle_id -1).
-        device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
-        finite_only: Leave out points that are not finite, with a notice; --no-finite-only refuses such files.
-        columns: From a table of points (.csv .xyz .txt): names of the columns of x, y and z, as in east,north,up; by
-            default their names tell.
-        force: Replace an existing output.
-        json: Print the summary as JSON.
     """
     check_output(output, force=force)
     surface, queries = _surface(mesh, device, json), _points(points, finite_only, columns)
@@ -83,11 +81,11 @@ def signed(
     *,
     output: Output = None,
     sign: str = "auto",
-    device: str | None = None,
+    device: Device = None,
     finite_only: FiniteOnly = True,
-    columns: str | None = None,
-    force: Flag = False,
-    json: Flag = False,
+    columns: Columns = None,
+    force: Force = False,
+    json: Json = False,
 ) -> None:
     """Compute the signed distance of each point to a mesh, negative inside.
 
@@ -97,12 +95,6 @@ def signed(
         output: {outputs}, or - for CSV on stdout; by default only a summary is printed.
         sign: Method that decides the sign: auto (by default; sheets, which enclose nothing, have theirs by the normals
             of their faces), pseudonormal, winding or parity.
-        device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
-        finite_only: Leave out points that are not finite, with a notice; --no-finite-only refuses such files.
-        columns: From a table of points (.csv .xyz .txt): names of the columns of x, y and z, as in east,north,up; by
-            default their names tell.
-        force: Replace an existing output.
-        json: Print the summary as JSON.
     """
     check_output(output, force=force)
     surface, queries = _surface(mesh, device, json), _points(points, finite_only, columns)
@@ -134,10 +126,10 @@ def ray(
     *,
     output: Output = None,
     max_distance: float = math.inf,
-    device: str | None = None,
+    device: Device = None,
     columns: str | None = None,
-    force: Flag = False,
-    json: Flag = False,
+    force: Force = False,
+    json: Json = False,
 ) -> None:
     """Find the first hit of each ray on a mesh.
 
@@ -146,11 +138,8 @@ def ray(
         rays: Origins and directions ({formats}): six columns, or two arrays in .npz.
         output: {outputs}, or - for CSV on stdout; by default only a summary is printed.
         max_distance: Length of the rays in world units; farther hits are misses (triangle_id -1).
-        device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
         columns: From a table (.csv .xyz .txt): names of the six columns, origins first, as in px,py,pz,vx,vy,vz; by
             default their names tell.
-        force: Replace an existing output.
-        json: Print the summary as JSON.
     """
     check_output(output, force=force)
     surface = _surface(mesh, device, json)
@@ -186,11 +175,11 @@ def sample(
     grid: str | None = None,
     order: int = 1,
     gradient: Flag = False,
-    device: str | None = None,
+    device: Device = None,
     finite_only: FiniteOnly = True,
-    columns: str | None = None,
-    force: Flag = False,
-    json: Flag = False,
+    columns: Columns = None,
+    force: Force = False,
+    json: Json = False,
 ) -> None:
     """Sample a volume at each point.
 
@@ -201,12 +190,6 @@ def sample(
         grid: Name of the grid, if the file holds several.
         order: Interpolation: 0 nearest voxel, 1 trilinear.
         gradient: Also write the gradient.
-        device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
-        finite_only: Leave out points that are not finite, with a notice; --no-finite-only refuses such files.
-        columns: From a table of points (.csv .xyz .txt): names of the columns of x, y and z, as in east,north,up; by
-            default their names tell.
-        force: Replace an existing output.
-        json: Print the summary as JSON.
     """
     check_output(output, force=force)
     _require_kind(volume, "volume")
@@ -237,11 +220,11 @@ def neighbors(
     radius: float | None = None,
     nearest: int | None = None,
     output: Output = None,
-    device: str | None = None,
+    device: Device = None,
     finite_only: FiniteOnly = True,
-    columns: str | None = None,
-    force: Flag = False,
-    json: Flag = False,
+    columns: Columns = None,
+    force: Force = False,
+    json: Json = False,
 ) -> None:
     """Find the points of a cloud within a radius of each query, the nearest ones, or the nearest within a radius.
 
@@ -255,12 +238,6 @@ def neighbors(
         radius: Search radius in world units; with nearest, the largest distance.
         nearest: Number of nearest points, 1 to 1024; missing ones have index -1 and distance inf.
         output: {outputs}, or - for CSV on stdout; by default only a summary is printed.
-        device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
-        finite_only: Leave out points that are not finite, with a notice; --no-finite-only refuses such files.
-        columns: From a table of points (.csv .xyz .txt): names of the columns of x, y and z, as in east,north,up; by
-            default their names tell.
-        force: Replace an existing output.
-        json: Print the summary as JSON.
     """
     from geokit.points import NeighborGrid
     from geokit.points._io import TABLES

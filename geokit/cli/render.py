@@ -74,7 +74,6 @@ def render(
         shadow: Draw a soft shadow on the ground below a mesh, a cloud or a volume's surface.
         look: How fog is drawn: by the color map, or as white smoke, lit, in front of the dark.
         transparent: Leave the background transparent.
-        finite_only: Leave out points that are not finite, with a notice; --no-finite-only refuses such files.
         columns: From a table of points (.csv .xyz .txt): names of the columns of x, y and z, as in east,north,up; by
             default their names tell.
         force: Replace an existing output.

@@ -43,7 +43,6 @@ def view(
         max_voxels: Most voxels of a volume's box; larger ones are shown coarser. By default 16,777,216.
         title: Title of the page; by default the names of the files.
         device: Where volumes are read: cpu, cuda:0, ...
-        finite_only: Leave out points that are not finite, with a notice; --no-finite-only refuses such files.
         columns: From a table of points (.csv .xyz .txt): names of the columns of x, y and z, as in east,north,up; by
             default their names tell.
         force: Replace an existing output.

@@ -8,49 +8,36 @@ from typing import Annotated
 from cyclopts import App, Parameter
 
 from geokit.cli._console import print_facts, print_json
-from geokit.cli._kinds import grid_names, load_grid
+from geokit.cli._kinds import Device, grid_names, load_grid
 from geokit.cli._operate import DEFAULTS, REMEDY, Common, Flag, apply, combine, operation, require_volume_file
 
 __all__ = ["app"]
 
 app = App(name="volume", help="Combine, offset, smooth, resample, differentiate, segment and measure volumes.")
 
-Source = Annotated[Path, Parameter(name="IN")]
-Target = Annotated[Path, Parameter(name="OUT")]
-Files = Annotated[Path, Parameter(name="FILES")]
+Source = Annotated[Path, Parameter(name="IN", help="The .vdb or .nvdb file to read.")]
+Target = Annotated[Path, Parameter(name="OUT", help="The .vdb or .nvdb file to write.")]
+FILES = "Two or more .vdb or .nvdb files to read, then the one to write, which gets the first one's grid."
+Files = Annotated[Path, Parameter(name="FILES", help=FILES)]
 
 
-@app.command
-def union(*files: Files, smooth: float = 0.0, common: Common = DEFAULTS) -> None:
-    """Union of two or more level sets: IN IN ... OUT.
+def _combining(name: str, text: str, seams: str) -> None:
+    """Add a command that combines level sets."""
 
-    Args:
-        files: Two or more .vdb or .nvdb files to read, then the one to write, which gets the first one's grid.
-        smooth: Width over which seams are blended, in world units; 0 keeps them sharp.
-    """
-    combine("union", files, smooth, common)
+    def run(*files: Files, smooth: float = 0.0, common: Common = DEFAULTS) -> None:
+        combine(name, files, smooth, common)
 
-
-@app.command
-def intersection(*files: Files, smooth: float = 0.0, common: Common = DEFAULTS) -> None:
-    """Intersection of two or more level sets: IN IN ... OUT.
+    run.__doc__ = f"""{text}: IN IN ... OUT.
 
     Args:
-        files: Two or more .vdb or .nvdb files to read, then the one to write, which gets the first one's grid.
-        smooth: Width over which edges are rounded, in world units; 0 keeps them sharp.
+        smooth: Width over which {seams}, in world units; 0 keeps them sharp.
     """
-    combine("intersection", files, smooth, common)
+    app.command(run, name=name)
 
 
-@app.command
-def difference(*files: Files, smooth: float = 0.0, common: Common = DEFAULTS) -> None:
-    """Difference of the first level set and all others: IN IN ... OUT.
-
-    Args:
-        files: Two or more .vdb or .nvdb files to read, then the one to write, which gets the first one's grid.
-        smooth: Width over which edges are rounded, in world units; 0 keeps them sharp.
-    """
-    combine("difference", files, smooth, common)
+_combining("union", "Union of two or more level sets", "seams are blended")
+_combining("intersection", "Intersection of two or more level sets", "edges are rounded")
+_combining("difference", "Difference of the first level set and all others", "edges are rounded")
 
 
 @app.command
@@ -58,103 +45,40 @@ def offset(source: Source, target: Target, /, *, distance: float, common: Common
     """Move the surface of a level set outwards, or inwards by a negative distance.
 
     Args:
-        source: The .vdb or .nvdb file to read.
-        target: The .vdb or .nvdb file to write.
         distance: Distance in world units.
     """
     apply("offset", source, target, common, distance)
 
 
-@app.command
-def dilate(
-    source: Source,
-    target: Target,
-    /,
-    *,
-    distance: float | None = None,
-    voxels: int | None = None,
-    neighbors: str = "faces",
-    common: Common = DEFAULTS,
-) -> None:
-    """Grow a level set by a distance, or the active part of another grid by voxels.
+def _growing(name: str, text: str) -> None:
+    """Add a command that moves surfaces by a distance, or borders by voxels."""
+
+    def run(
+        source: Source,
+        target: Target,
+        /,
+        *,
+        distance: float | None = None,
+        voxels: int | None = None,
+        neighbors: str = "faces",
+        common: Common = DEFAULTS,
+    ) -> None:
+        apply(name, source, target, common, distance, voxels=voxels, neighbors=neighbors)
+
+    run.__doc__ = f"""{text}.
 
     Args:
-        source: The .vdb or .nvdb file to read.
-        target: The .vdb or .nvdb file to write.
         distance: Distance for level sets, in world units.
         voxels: Number of steps of one voxel, for other grids.
         neighbors: Neighborhood of a voxel in one step, for other grids: faces, edges or vertices.
     """
-    apply("dilate", source, target, common, distance, voxels=voxels, neighbors=neighbors)
+    app.command(run, name=name)
 
 
-@app.command
-def erode(
-    source: Source,
-    target: Target,
-    /,
-    *,
-    distance: float | None = None,
-    voxels: int | None = None,
-    neighbors: str = "faces",
-    common: Common = DEFAULTS,
-) -> None:
-    """Shrink a level set by a distance, or the active part of another grid by voxels.
-
-    Args:
-        source: The .vdb or .nvdb file to read.
-        target: The .vdb or .nvdb file to write.
-        distance: Distance for level sets, in world units.
-        voxels: Number of steps of one voxel, for other grids.
-        neighbors: Neighborhood of a voxel in one step, for other grids: faces, edges or vertices.
-    """
-    apply("erode", source, target, common, distance, voxels=voxels, neighbors=neighbors)
-
-
-@app.command
-def opening(
-    source: Source,
-    target: Target,
-    /,
-    *,
-    distance: float | None = None,
-    voxels: int | None = None,
-    neighbors: str = "faces",
-    common: Common = DEFAULTS,
-) -> None:
-    """Erode, then dilate, which removes thin parts.
-
-    Args:
-        source: The .vdb or .nvdb file to read.
-        target: The .vdb or .nvdb file to write.
-        distance: Distance for level sets, in world units.
-        voxels: Number of steps of one voxel, for other grids.
-        neighbors: Neighborhood of a voxel in one step, for other grids: faces, edges or vertices.
-    """
-    apply("opening", source, target, common, distance, voxels=voxels, neighbors=neighbors)
-
-
-@app.command
-def closing(
-    source: Source,
-    target: Target,
-    /,
-    *,
-    distance: float | None = None,
-    voxels: int | None = None,
-    neighbors: str = "faces",
-    common: Common = DEFAULTS,
-) -> None:
-    """Dilate, then erode, which closes narrow gaps.
-
-    Args:
-        source: The .vdb or .nvdb file to read.
-        target: The .vdb or .nvdb file to write.
-        distance: Distance for level sets, in world units.
-        voxels: Number of steps of one voxel, for other grids.
-        neighbors: Neighborhood of a voxel in one step, for other grids: faces, edges or vertices.
-    """
-    apply("closing", source, target, common, distance, voxels=voxels, neighbors=neighbors)
+_growing("dilate", "Grow a level set by a distance, or the active part of another grid by voxels")
+_growing("erode", "Shrink a level set by a distance, or the active part of another grid by voxels")
+_growing("opening", "Erode, then dilate, which removes thin parts")
+_growing("closing", "Dilate, then erode, which closes narrow gaps")
 
 
 @app.command
@@ -164,8 +88,6 @@ def renormalize(
     """Recompute the distances of a level set around the same surface.
 
     Args:
-        source: The .vdb or .nvdb file to read.
-        target: The .vdb or .nvdb file to write.
         half_width: Width of the band on each side in voxels; by default unchanged.
     """
     apply("renormalize", source, target, common, half_width=half_width)
@@ -185,8 +107,6 @@ def smooth(
     """Smooth a level set or another scalar volume.
 
     Args:
-        source: The .vdb or .nvdb file to read.
-        target: The .vdb or .nvdb file to write.
         method: gaussian, mean or median; for level sets also mean_curvature or laplacian.
         width: Half the filter's side in voxels.
         iterations: Number of times that the filter is applied.
@@ -203,18 +123,15 @@ def resample(
     voxel_size: float | None = None,
     like: Path | None = None,
     order: int = 1,
-    device: str | None = None,
+    device: Device = None,
     common: Common = DEFAULTS,
 ) -> None:
     """Resample a volume to another voxel size, or to the voxels of another volume.
 
     Args:
-        source: The .vdb or .nvdb file to read.
-        target: The .vdb or .nvdb file to write.
         voxel_size: New edge length in world units.
         like: A .vdb or .nvdb file with one grid, whose transform is used instead.
         order: Interpolation: 0 nearest voxel, which labels and masks need, 1 trilinear.
-        device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
     """
     transform = None
     if like is not None:
@@ -230,8 +147,6 @@ def prune(source: Source, target: Target, /, *, tolerance: float = 0.0, common: 
     """Replace nodes of nearly constant value by tiles.
 
     Args:
-        source: The .vdb or .nvdb file to read.
-        target: The .vdb or .nvdb file to write.
         tolerance: Largest difference of the values that a tile replaces.
     """
     apply("prune", source, target, common, tolerance)
@@ -250,86 +165,33 @@ def clip(
     """Keep the part of a volume inside a box. Of a .nvdb that is not compressed only that part is read.
 
     Args:
-        source: The .vdb or .nvdb file to read.
-        target: The .vdb or .nvdb file to write.
         lower: Lower corner in world units: x y z.
         upper: Upper corner in world units: x y z.
     """
     apply("clip", source, target, common, [lower, upper], within=[lower, upper])
 
 
-@app.command
-def gradient(source: Source, target: Target, /, *, device: str | None = None, common: Common = DEFAULTS) -> None:
-    """Compute the gradient of a scalar volume at its active voxels.
+def _deriving(name: str, text: str, verb: str) -> None:
+    """Add a command that computes a grid on a device."""
 
-    Args:
-        source: The .vdb or .nvdb file to read.
-        target: The .vdb or .nvdb file to write.
-        device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
-    """
-    apply("gradient_field", source, target, common, device=device)
+    def run(source: Source, target: Target, /, *, device: Device = None, common: Common = DEFAULTS) -> None:
+        apply(verb, source, target, common, device=device)
+
+    run.__doc__ = text
+    app.command(run, name=name)
 
 
-@app.command
-def divergence(source: Source, target: Target, /, *, device: str | None = None, common: Common = DEFAULTS) -> None:
-    """Compute the divergence of a vector volume at its active voxels.
-
-    Args:
-        source: The .vdb or .nvdb file to read.
-        target: The .vdb or .nvdb file to write.
-        device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
-    """
-    apply("divergence", source, target, common, device=device)
-
-
-@app.command
-def curl(source: Source, target: Target, /, *, device: str | None = None, common: Common = DEFAULTS) -> None:
-    """Compute the curl of a vector volume at its active voxels.
-
-    Args:
-        source: The .vdb or .nvdb file to read.
-        target: The .vdb or .nvdb file to write.
-        device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
-    """
-    apply("curl", source, target, common, device=device)
-
-
-@app.command
-def laplacian(source: Source, target: Target, /, *, device: str | None = None, common: Common = DEFAULTS) -> None:
-    """Compute the Laplacian of a scalar volume at its active voxels.
-
-    Args:
-        source: The .vdb or .nvdb file to read.
-        target: The .vdb or .nvdb file to write.
-        device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
-    """
-    apply("laplacian", source, target, common, device=device)
-
-
-@app.command
-def connected_components(
-    source: Source, target: Target, /, *, device: str | None = None, common: Common = DEFAULTS
-) -> None:
-    """Write a grid of labels: 1 for the largest connected component of a volume, 2 for the next one.
-
-    Args:
-        source: The .vdb or .nvdb file to read.
-        target: The .vdb or .nvdb file to write.
-        device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
-    """
-    apply("connected_components", source, target, common, device=device)
-
-
-@app.command
-def segment(source: Source, target: Target, /, *, device: str | None = None, common: Common = DEFAULTS) -> None:
-    """Write the connected components of a volume as grids of one file, largest first.
-
-    Args:
-        source: The .vdb or .nvdb file to read.
-        target: The .vdb or .nvdb file to write.
-        device: Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU.
-    """
-    apply("segment", source, target, common, device=device)
+for _name, _text in {
+    "gradient": "Compute the gradient of a scalar volume at its active voxels.",
+    "divergence": "Compute the divergence of a vector volume at its active voxels.",
+    "curl": "Compute the curl of a vector volume at its active voxels.",
+    "laplacian": "Compute the Laplacian of a scalar volume at its active voxels.",
+    "connected-components": (
+        "Write a grid of labels: 1 for the largest connected component of a volume, 2 for the next one."
+    ),
+    "segment": "Write the connected components of a volume as grids of one file, largest first.",
+}.items():
+    _deriving(_name, _text, "gradient_field" if _name == "gradient" else _name.replace("-", "_"))
 
 
 @app.command
@@ -337,7 +199,6 @@ def statistics(source: Source, /, *, grid: str | None = None, json: Flag = False
     """Print count, extrema, mean and standard deviation of the active voxels; area and volume of a level set.
 
     Args:
-        source: A .vdb or .nvdb file.
         grid: Name of the grid, if the file holds several; all for each of them, as a list in JSON.
         json: Print JSON.
     """
