@@ -144,7 +144,8 @@ def test_computed_values_are_not_rounded(tmp_path, halves):
     found = load(tmp_path / "moved.vdb")
     assert np.array_equal(values_of(found), values_of(moved))
     assert found.info.metadata == {"geokit:file:creator": "Houdini", "geokit:file:frame": 7}
-    save(tmp_path / "rounded.vdb", moved, half=True)
+    save(tmp_path / "moved.vdb", moved, codec="none")
+    save(tmp_path / "rounded.vdb", moved, codec="none", half=True)
     assert inspect(tmp_path / "rounded.vdb")[0].metadata == volume.info.metadata
     assert (tmp_path / "rounded.vdb").stat().st_size < 0.7 * (tmp_path / "moved.vdb").stat().st_size
 
