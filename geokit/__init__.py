@@ -2,7 +2,7 @@
 
 import lazy_loader
 
-from geokit.core.interop.notebook import Drawing, drawn_by
+from geokit._drawing import drawn_by
 
 __version__ = "0.1.0"
 
@@ -19,11 +19,16 @@ def __getattr__(name: str) -> object:
     return _found(name)
 
 
-def _drawing() -> Drawing:
+def _picture(thing: object) -> str:
     from geokit.render._notebook import notebook_html
+
+    return notebook_html(thing)
+
+
+def _show(thing: object, path: object) -> object:
     from geokit.render._view import show
 
-    return Drawing(notebook_html, show)
+    return show(thing, path)  # type: ignore[arg-type]
 
 
-drawn_by(_drawing)
+drawn_by(_picture, _show)

@@ -24,6 +24,9 @@ Flag = Annotated[bool, Parameter(negative="")]
 Source = Annotated[Path, Parameter(name="IN")]
 Target = Annotated[Path, Parameter(name="OUT")]
 Point = tuple[float, float, float]
+Changed = Annotated[Path, Parameter(name="OUT", help="The mesh to write.")]
+Body = Annotated[Path, Parameter(name="OUT", help="The file to write.")]
+Center = Annotated[Point, Parameter(help="Its middle.")]
 
 
 @Parameter(name="*")
@@ -62,64 +65,58 @@ def _write(target: Path, common: Common, body: str, *sizes: Any, **options: Any)
 
 
 @app.command
-def box(target: Target, /, *, size: Point, center: Point = (0, 0, 0), common: Common = DEFAULTS) -> None:
+def box(target: Body, /, *, size: Point, center: Center = (0, 0, 0), common: Common = DEFAULTS) -> None:
     """Write a box along the axes.
 
     Args:
-        target: The file to write.
         size: Its lengths along x, y and z.
-        center: Its middle.
     """
     _write(target, common, "box", size, center=center)
 
 
 @app.command
 def sphere(
-    target: Target,
+    target: Body,
     /,
     *,
     radius: float,
     segments: int = 48,
-    center: Point = (0, 0, 0),
+    center: Center = (0, 0, 0),
     common: Common = DEFAULTS,
 ) -> None:
     """Write a sphere.
 
     Args:
-        target: The file to write.
         radius: Its radius.
         segments: Triangles around it.
-        center: Its middle.
     """
     _write(target, common, "sphere", radius, segments=segments, center=center)
 
 
 @app.command
 def cylinder(
-    target: Target,
+    target: Body,
     /,
     *,
     radius: float,
     height: float,
     segments: int = 48,
-    center: Point = (0, 0, 0),
+    center: Center = (0, 0, 0),
     common: Common = DEFAULTS,
 ) -> None:
     """Write a cylinder around z.
 
     Args:
-        target: The file to write.
         radius: Its radius.
         height: Its length along z.
         segments: Quads around it.
-        center: Its middle.
     """
     _write(target, common, "cylinder", radius, height, segments=segments, center=center)
 
 
 @app.command
 def cone(
-    target: Target,
+    target: Body,
     /,
     *,
     radius: float,
@@ -131,7 +128,6 @@ def cone(
     """Write a cone around z, with its tip above.
 
     Args:
-        target: The file to write.
         radius: Radius of its base.
         height: Its length along z.
         segments: Triangles around it.
@@ -142,46 +138,42 @@ def cone(
 
 @app.command
 def torus(
-    target: Target,
+    target: Body,
     /,
     *,
     radius: float,
     tube_radius: float,
     segments: int = 48,
     tube_segments: int = 24,
-    center: Point = (0, 0, 0),
+    center: Center = (0, 0, 0),
     common: Common = DEFAULTS,
 ) -> None:
     """Write a torus around z.
 
     Args:
-        target: The file to write.
         radius: Distance of the tube's middle from the axis.
         tube_radius: Radius of the tube.
         segments: Quads around the axis.
         tube_segments: Quads around the tube.
-        center: Its middle.
     """
     _write(target, common, "torus", radius, tube_radius, segments=segments, tube_segments=tube_segments, center=center)
 
 
 @app.command
 def plane(
-    target: Target,
+    target: Body,
     /,
     *,
     size: tuple[float, float],
     segments: int = 1,
-    center: Point = (0, 0, 0),
+    center: Center = (0, 0, 0),
     common: Common = DEFAULTS,
 ) -> None:
     """Write a rectangle that faces along z.
 
     Args:
-        target: The file to write.
         size: Its lengths along x and y.
         segments: Quads along each side.
-        center: Its middle.
     """
     _write(target, common, "plane", size, segments=segments, center=center)
 
@@ -219,7 +211,7 @@ def split(source: Source, target: Target, /, *, by: str = "components", common: 
 @app.command
 def keep_largest(
     source: Source,
-    target: Target,
+    target: Changed,
     /,
     *,
     count: int = 1,
@@ -230,7 +222,6 @@ def keep_largest(
 
     Args:
         source: The mesh to read.
-        target: The mesh to write.
         count: How many to keep.
         share: Keep all with at least this share of the largest one's area, from 0 to 1, whatever --count is.
     """
@@ -245,7 +236,7 @@ def keep_largest(
 @app.command
 def transform(
     source: Source,
-    target: Target,
+    target: Changed,
     /,
     *,
     move: Point = (0, 0, 0),
@@ -258,7 +249,6 @@ def transform(
 
     Args:
         source: The mesh to read.
-        target: The mesh to write.
         move: Distances along x, y and z.
         scale: Factor; a negative one mirrors.
         rotate: Axis and angle in degrees: x y z angle.
@@ -301,7 +291,7 @@ def _rotation(given: tuple[float, float, float, float] | None) -> Any:
 def transfer(
     source: Source,
     other: Annotated[Path, Parameter(name="FROM")],
-    target: Target,
+    target: Changed,
     /,
     *,
     name: Annotated[list[str] | None, Parameter(negative="")] = None,
@@ -313,7 +303,6 @@ def transfer(
     Args:
         source: The mesh that gets them.
         other: The mesh that has them.
-        target: The mesh to write.
         name: An attribute; may be given several times. By default all.
     """
     from geokit import mesh

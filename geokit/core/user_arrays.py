@@ -25,6 +25,7 @@ from geokit.core.interop.arrays import (
     flat_rows,
     import_array,
     is_exporter,
+    led,
     reinterpreted,
     widened,
 )
@@ -374,7 +375,7 @@ def _shaped(give: Callable[[Any], Any], lead: tuple[int, ...] | None) -> Callabl
         if not isinstance(found, wp.array):
             if recorder := replay.current():
                 return recorder.shaped(found, lead)
-            return found.reshape((*lead, *found.shape[1:])) if lead else found[0]
+            return led(found, lead)
         # warp has no arrays of no dimension.
         whole = (*lead, *found.shape[1:])
         return reinterpreted(found, found.dtype, whole) if whole else found.numpy()[0]

@@ -259,6 +259,7 @@ def test_importing_geokit_is_light():
     heavy = ("warp", "trimesh", "vtk", "vtkmodules", "pyvista", "meshio", "scipy", "matplotlib", "pxr")
     code = (
         "import sys, geokit\n"
+        "assert 'geokit.core' not in sys.modules\n"
         "from geokit import accuracy, mesh, volume, points, threads, errors\n"
         f"print(sorted(set(sys.modules) & set({heavy!r})))"
     )

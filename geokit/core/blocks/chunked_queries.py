@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geokit.core import user_arrays
+from geokit.core.interop.arrays import led
 from geokit.core.memory import available_memory
 from geokit.core.require import require_callable
 
@@ -62,9 +63,8 @@ def in_chunks(
         lead = values[0].shape[:-1]
         if math.prod(lead) > FEWEST_ROWS and values[0].shape[-1] == 3:
             answer = in_chunks(query, [v.reshape(-1, 3) for v in values], names, device, progress, defer=defer)
-            parts = answer if isinstance(answer, tuple) else (answer,)
-            shaped = [part.reshape((*lead, *part.shape[1:])) for part in parts]
-            return type(answer)(*shaped) if isinstance(answer, tuple) else shaped[0]
+            is_several = isinstance(answer, tuple)
+            return type(answer)(*(led(part, lead) for part in answer)) if is_several else led(answer, lead)
     on_host = all(isinstance(value, np.ndarray) and value.ndim == 2 for value in values)
     total = len(values[0]) if on_host else 0
     rows = _chunk_rows(device, total) if on_host else 0

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
-from geokit.core.interop.arrays import broadcast_rows, detached, flat_rows, lead_of, widened
+from geokit.core.interop.arrays import broadcast_rows, detached, flat_rows, lead_of, led, widened
 from geokit.core.interop.objects import points_of
 from geokit.core.launches import warp_private
 from geokit.core.require import read_array, refuse_recording
@@ -200,11 +200,7 @@ class Entry:
         """The answer with other leading axes, from that for a table of the rows; lists stay those of the table."""
         if "offsets" in getattr(self.kind, "_fields", ()):
             return answer
-
-        def shape(out: Any) -> Any:
-            return out.reshape((*lead, *out.shape[1:])) if lead else out[0]
-
-        return shape(answer) if self.kind is None else self.kind(*map(shape, answer))
+        return led(answer, lead) if self.kind is None else self.kind(*(led(out, lead) for out in answer))
 
     def bind(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> dict[str, Any]:
         """All arguments of a call by name.

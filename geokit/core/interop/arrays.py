@@ -27,6 +27,7 @@ __all__ = [
     "is_exporter",
     "is_in_order",
     "lead_of",
+    "led",
     "reinterpreted",
     "widened",
 ]
@@ -164,6 +165,11 @@ def flat_rows(values: Any) -> tuple[Any, tuple[int, ...] | None]:
     if not getattr(values, "is_contiguous", True):  # warp's has no other shape
         values = values.contiguous()
     return values.reshape((math.prod(lead), *shape[len(lead) :])), lead
+
+
+def led(values: Any, lead: tuple[int, ...]) -> Any:
+    """The inverse of :func:`flat_rows` for what has an entry for each row: (N, ...) as (*lead, ...)."""
+    return values.reshape((*lead, *values.shape[1:])) if lead else values[0]
 
 
 def broadcast_rows(tables: dict[str, Any]) -> dict[str, Any]:
