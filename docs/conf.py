@@ -13,7 +13,7 @@ import importlib.util
 import inspect
 import os
 import re
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 
 DOCS = Path(__file__).resolve().parent
@@ -166,14 +166,18 @@ def read_source(app: object, docname: str, source: list[str]) -> None:
     source[0] = linked_to_pages(source[0], docname)
 
 
+@cache
+def held_by() -> dict[str, list[str]]:
+    """By the name of what it holds, the files of tests in the table of held-by.md."""
+    rows = re.findall(r"^\| `([\w.]+)` \| (.+) \|$", (DOCS / "held-by.md").read_text(encoding="utf-8"), re.MULTILINE)
+    return {name: re.findall(r"`([^`]+)`", files) for name, files in rows}
+
+
 def link_tests(app: object, what: str, name: str, thing: object, options: object, lines: list[str]) -> None:
-    """`Held by: tests/a.py, tests/b.py` as links to those files."""
-    text = "\n".join(lines)
-    for held in re.findall(r"^Held by:[^\n]*(?:\n[ \t]*\S[^\n]*)*", text, re.MULTILINE):
-        files = re.findall(r"tests/[\w/]+\.py", held)
+    """The tests that hold a thing, after its docstring, as links to those files."""
+    if files := [file for file in held_by().get(name, ()) if file.endswith(".py")]:
         links = ", ".join(f":download:`{file} </{os.path.relpath(ROOT / file, DOCS)}>`" for file in files)
-        text = text.replace(held, f"**Held by** {links}")
-    lines[:] = text.split("\n")
+        lines += ["", f"**Held by** {links}", ""]
 
 
 def public_signature(app: object, what: str, name: str, thing: object, options: object, given: str, returned: str):

@@ -23,7 +23,6 @@ def show_config() -> dict[str, dict[str, str]]:
         cannot be loaded), and with the extension "openvdb", "nanovdb", "tbb" (versions), "compiler", "python" ("stable
         ABI" or "this version only") and "libraries" ("inside the wheel" or "of the system").
 
-        Held by: tests/house/test_packages.py
     Example:
         >>> geokit.show_config()["versions"]["geokit"]
         '0.1.0'

@@ -31,7 +31,6 @@ def sample_path(name: str) -> Path:
     Raises:
         InputError: There is no such sample.
         FileAccessError: The installation lacks the samples.
-    Held by: tests/cli/test_guide.py
     Example:
         >>> sample_path("torus.ply").name
         'torus.ply'

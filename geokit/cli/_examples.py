@@ -30,6 +30,7 @@ geokit convert bunny.vdb bunny-fp8.nvdb --codec fp8,zip
 geokit convert bunny.vdb small.nvdb --tolerance 1e-4
 geokit convert smoke.vdb density.nvdb --grid density
 geokit convert bunny.vdb shell.obj --isovalue 0.02 --adaptivity 0.5
+geokit convert segmentation.nii.gz liver.stl --label 2
 geokit convert bunny.usd field.nvdb --tolerance 1e-3
 geokit convert bunny.vdb bunny.obj --tolerance 1e-3
 geokit convert bunny.usd light.obj --tolerance 1e-3

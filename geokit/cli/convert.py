@@ -30,6 +30,7 @@ from geokit.formats.table import FORMATS, SPARSE, STAGES, Content
 
 if TYPE_CHECKING:
     from geokit.mesh import TriangleMesh
+    from geokit.volume import SparseVolume
 
 __all__ = ["convert"]
 
@@ -53,6 +54,7 @@ def convert(
     within: float | None = None,
     order: int | None = None,
     isovalue: float | None = None,
+    label: int | None = None,
     adaptivity: float | None = None,
     method: str | None = None,
     grid: str | None = None,
@@ -100,6 +102,7 @@ def convert(
         order: Mesh to volume with tolerance: order of the interpolation that will be used, 1, 2 or 3; by default the
             best one.
         isovalue: Volume to mesh: value of the surface; by default 0.
+        label: Volume to mesh: the surface of the voxels that have this value, as in a segmentation.
         adaptivity: Volume to mesh: 0 (default) keeps every face, 1 merges as many as possible.
         method: Mesh to volume: geokit or openvdb. Volume to mesh: auto (default), surface_nets, dual_contouring,
             marching_cubes or openvdb.
@@ -145,6 +148,7 @@ def convert(
         "within": within,
         "order": order,
         "isovalue": isovalue,
+        "label": label,
         "adaptivity": adaptivity,
         "method": method,
         "grid": grid,
@@ -227,7 +231,7 @@ def _converted(
             source, target, grid, {**outside, "grid_type": options["grid-type"]}, storage, quiet=quiet
         )
     elif kinds == ("volume", "mesh"):
-        how = {name: given[name] for name in ("isovalue", "adaptivity", "method", "tolerance")}
+        how = {name: given[name] for name in ("isovalue", "label", "adaptivity", "method", "tolerance")}
         summary = _volume_to_mesh(source, target, {**how, "device": device}, grid, outside, quiet=quiet)
     elif kinds == ("volume", "array"):
         summary = _volume_to_array(source, target, grid, device, quiet=quiet)
@@ -273,7 +277,16 @@ _USES = {
         *UNIT_OPTIONS,
     ),
     ("volume", "volume"): ("grid", "codec", "tolerance", "background", "background-tolerance", "grid-type"),
-    ("volume", "mesh"): ("isovalue", "adaptivity", "method", "grid", "tolerance", "background", "background-tolerance"),
+    ("volume", "mesh"): (
+        "isovalue",
+        "label",
+        "adaptivity",
+        "method",
+        "grid",
+        "tolerance",
+        "background",
+        "background-tolerance",
+    ),
     ("volume", "array"): ("grid",),
     ("cloud", "cloud"): ("grid", "columns", "stream", "voxel-size", "normals", "density", "scheduler"),
     ("cloud", "volume"): ("radius", "voxel-size", "half-width", "codec", "tolerance", "grid", "columns"),
@@ -502,8 +515,14 @@ def _volume_to_mesh(
     from geokit.cli._kinds import load_grid
     from geokit.mesh import from_volume, from_volume_with_deviation, save
 
+    label = how.pop("label")
+    if label is not None:
+        refuse_unused("with --label", isovalue=how["isovalue"])
+        how["isovalue"] = 0.5
     with step(f"meshing {source}", quiet=quiet) as meshing:
-        volume = load_grid(source, grid, **outside, as_floats=True)
+        volume = load_grid(source, grid, **outside, as_floats=label is None)
+        if label is not None:
+            volume = _mask(volume, label, source)
         achieved: dict[str, Any] = {}
         if how["tolerance"] is None:
             mesh = from_volume(volume, **_given(how))
@@ -522,6 +541,28 @@ def _volume_to_mesh(
             )
         save(target, mesh)
     return {"grid": volume.info.name, "vertices": len(mesh.vertices), "faces": len(mesh.faces), **achieved}
+
+
+def _mask(volume: SparseVolume, label: int, source: Path) -> SparseVolume:
+    """A volume that is 1 where a volume has the value of a label, and 0 elsewhere."""
+    from geokit.volume import from_dense, to_dense
+    from geokit.volume.nanovdb.provenance import with_more
+
+    info = volume.info
+    if not np.isscalar(info.background) or info.background == label:
+        raise InputError(
+            f"{source}: grid {info.name!r} has background {info.background}, which label {label} cannot be told from; "
+            "choose another --label, or --background"
+        )
+    dense = to_dense(volume)
+    found = dense.values == label
+    if not found.any():
+        labels = ", ".join(f"{value:g}" for value in np.unique(dense.values)[:20])
+        raise InputError(f"{source}: no voxel of grid {info.name!r} has label {label}; choose one of {labels}")
+    mask = from_dense(
+        found.astype(np.float32), transform=dense.array_transform, name=info.name, grid_class="fog volume"
+    )
+    return with_more(mask, info.metadata)
 
 
 def _volume_to_array(

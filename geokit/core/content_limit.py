@@ -44,8 +44,6 @@ def content_limit(file_bytes: int, memory_limit: int | None = None, *, held: boo
         held: Whether the content will be in memory; else the memory is no limit.
     Raises:
         InputError: memory_limit is not a positive whole number.
-
-    Held by: tests/core/test_content_limit.py
     """
     if memory_limit is not None:
         return require_count(memory_limit, "memory_limit", 1)

@@ -152,8 +152,6 @@ def atomic_path(target: str | os.PathLike[str]) -> Iterator[Path]:
     Raises:
         FileAccessError: The target's folder is missing or not writable, the target is a directory, a FIFO or a device,
             or writing failed.
-
-    Held by: tests/core/test_files.py
     """
     target = require_path(target)
     part = None

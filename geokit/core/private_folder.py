@@ -46,8 +46,6 @@ def private_folder(parent: str | os.PathLike[str]) -> Iterator[Path]:
 
     Raises:
         OSError: ``parent`` cannot be written.
-
-    Held by: tests/core/test_private_folder.py
     """
     parent = Path(parent)
     _remove_abandoned(parent)

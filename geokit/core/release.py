@@ -26,8 +26,6 @@ def release_memory() -> int:
     Example:
         >>> gk.release_memory() >= 0
         True
-
-    Held by: tests/core/test_release.py
     """
     freed = host_pool.release() + download.release() + pinned.release()
     _trim_heap()

@@ -76,8 +76,6 @@ def map_queries(
         >>> points = dask.array.from_array([[2.0, 0.0, 0.0], [0.0, 0.0, 1.0]], chunks=(1, 3))
         >>> gk.distributed.map_queries(surface, points, query="signed_distance").distance.compute()
         array([1.5, 0.5])
-
-    Held by: tests/distributed/test_map_queries.py
     """
     require_package("dask")
     array = require_package("dask.array")

@@ -51,8 +51,6 @@ def require_inside(reference: str, target: Path, path: Path, folders: Sequence[P
         folders: Further folders that are allowed.
     Raises:
         FileAccessError: It lies in none of these folders, or is a FIFO or a device.
-
-    Held by: tests/formats/test_references.py
     """
     if "\0" in str(target):
         raise FileAccessError(

@@ -44,8 +44,6 @@ class Surface(Traced):
         ...     return surface.closest_point(np.array([[0.25, 0.25, 2.0]])).distance.sum()
         >>> jax.grad(height)(jax.numpy.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]))[:, 2].tolist()
         [-0.5, -0.25, -0.25]
-
-    Held by: tests/jax/test_door.py
     """
 
     closest_point = mesh.Surface.closest_point

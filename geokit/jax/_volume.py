@@ -66,8 +66,6 @@ def with_values(volume: verbs.SparseVolume, values: Any) -> Volume:
         InputError: ``values`` is no array, or not (A,) of float32 or float64.
         UnsupportedGridError: The grid is neither float nor double.
         FileFormatError: The buffer is not a valid grid.
-
-    Held by: tests/jax/test_door.py
     """
     values = read_jax(values, "values")
     count = len(verbs.active_voxels(volume).values)

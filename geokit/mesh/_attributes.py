@@ -54,8 +54,6 @@ def sample_attributes(
         >>> distance = gk.mesh.sample_attributes(surface, {"distance": sdf})["distance"]
         >>> bool(abs(distance).max() < 0.5)
         True
-
-    Held by: tests/mesh/test_attributes.py
     """
     mesh = require_mesh(mesh, "mesh")
     volumes = require_mapping(volumes, "volumes")

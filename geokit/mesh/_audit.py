@@ -37,8 +37,6 @@ def audit(mesh: MeshLike, *, self_intersections: bool = False) -> MeshAudit:
     Example:
         >>> audit(geokit.mesh.load("data/samples/bracket.obj")).watertight
         True
-
-    Held by: tests/mesh/topology/test_audit.py, tests/accuracy/stability/test_envelopes.py
     """
     mesh = require_mesh(mesh, "mesh", images=False)
     require_flag(self_intersections, "self_intersections")

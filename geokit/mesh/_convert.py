@@ -52,8 +52,6 @@ def to_trimesh(mesh: MeshLike) -> Any:
         trimesh.Trimesh with copies of the arrays, float64, and the mesh's name in ``metadata``.
     Raises:
         InputError: It is no mesh.
-
-    Held by: tests/mesh/test_objects.py, tests/mesh/test_object_attributes.py
     """
     mesh = require_mesh(mesh, "mesh")
     unit = UNITS.get(mesh.meters_per_unit or 0.0, ("",))[0]
@@ -113,8 +111,6 @@ def to_pyvista(mesh: MeshLike) -> Any:
         pyvista.PolyData with copies of the arrays, float64.
     Raises:
         InputError: It is no mesh.
-
-    Held by: tests/mesh/test_objects.py, tests/mesh/test_object_attributes.py
     """
     from geokit.formats.vtk import poly_data
 
@@ -135,8 +131,6 @@ def to_meshio(mesh: MeshLike) -> Any:
         meshio.Mesh with copies of the arrays, float64.
     Raises:
         InputError: It is no mesh.
-
-    Held by: tests/mesh/test_objects.py, tests/mesh/test_object_attributes.py
     """
     mesh, lost = what_is_held(require_mesh(mesh, "mesh"), _ARRAYS, None)
     _say(lost, "meshio")
@@ -166,8 +160,6 @@ def to_open3d(mesh: MeshLike) -> Any:
     Raises:
         InputError: It is no mesh.
         MissingDependencyError: Open3D is not installed.
-
-    Held by: tests/mesh/test_objects.py, tests/mesh/test_object_attributes.py
     """
     mesh = require_mesh(mesh, "mesh")
     try:

@@ -113,9 +113,6 @@ def from_volume(
         >>> bracket = gk.volume.from_mesh(gk.mesh.load("data/samples/bracket.obj"), 0.5)
         >>> gk.mesh.audit(gk.mesh.from_volume(bracket)).watertight
         True
-
-    Held by: tests/volume/isosurface/test_from_volume.py, tests/volume/isosurface/test_from_volume_property.py,
-    tests/volume/isosurface/test_from_volume_stability.py, tests/accuracy/stability/test_envelopes.py
     """
     isovalue = require_number(isovalue, "isovalue")
     if not np.isfinite(isovalue):
@@ -195,8 +192,6 @@ def from_volume_with_deviation(
         >>> found = gk.mesh.from_volume_with_deviation(torus, tolerance=0.01)
         >>> len(found.mesh.faces) < len(gk.mesh.from_volume(torus).faces), found.deviation <= 0.01
         (True, True)
-
-    Held by: tests/volume/isosurface/test_from_volume.py, tests/house/test_tolerances_property.py
     """
     from geokit.core import launcher
     from geokit.mesh._simplify import Simplified, within_tolerance

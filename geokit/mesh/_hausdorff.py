@@ -142,9 +142,6 @@ def hausdorff(
         >>> distance = gk.mesh.hausdorff(low, high, device="cpu")
         >>> distance.max, distance.upper, distance.a_to_b.point.tolist()
         (2.0, 2.0, [0.0, 0.0, 0.0])
-
-    Held by: tests/mesh/queries/test_hausdorff.py, tests/mesh/queries/test_hausdorff_property.py,
-    tests/accuracy/stability/test_envelopes.py
     """
     tolerance = require_finite_scalar(tolerance, "tolerance", low=0.0)
     meshes = [_mesh_of(a, "a"), _mesh_of(b, "b")]

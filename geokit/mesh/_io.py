@@ -111,9 +111,6 @@ def load(
     Example:
         >>> load("data/samples/bracket.obj")
         TriangleMesh('bracket', 76 vertices, 152 faces)
-
-    Held by: tests/formats/test_references.py, tests/formats/test_bombs_stability.py,
-    tests/formats/reader/test_server.py, tests/formats/reader/test_trusted.py, tests/formats/test_mesh_attributes.py
     """
     from geokit.formats.polygons import join
 
@@ -215,8 +212,6 @@ def save(
     Example:
         >>> bracket = load("data/samples/bracket.obj")
         >>> save("out.vtp", bracket, point_data={"height": bracket.vertices[:, 2]})
-
-    Held by: tests/formats/test_mesh_attributes.py, tests/formats/test_companions.py
     """
     kind = require_format(path, "mesh", "w")
     written = FORMATS[kind]

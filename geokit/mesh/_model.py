@@ -74,8 +74,6 @@ class TriangleMesh:
         up_axis: The axis that points up, "x", "y" or "z"; None where it is not known.
     Raises:
         InputError: A wrong shape, a non-finite vertex, or an index outside ``[0, V)``; the first bad row is named.
-
-    Held by: tests/mesh/test_model.py, tests/mesh/test_device_mesh.py, tests/mesh/attributes/test_data.py
     """
 
     vertices: NDArray[np.float64]
@@ -247,8 +245,6 @@ class TriangleMesh:
         """Unit normals of the vertices from the positions, (V, 3): the faces' by their angles; zero without faces.
 
         Vertices at one position have one normal. Normals of a file are in ``vertex_data`` or ``corner_data``.
-
-        Held by: tests/mesh/topology/test_normals.py
         """
         from geokit.mesh.topology.normals import vertex_normals
 

@@ -45,8 +45,6 @@ def as_mesh(mesh: Any) -> TriangleMesh:
     Example:
         >>> as_mesh(([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2, 3]]))
         TriangleMesh(4 vertices, 2 faces)
-
-    Held by: tests/mesh/test_objects.py
     """
     return require_mesh(mesh, "mesh")
 

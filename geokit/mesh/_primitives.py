@@ -34,8 +34,6 @@ def box(size: ArrayLike = (1.0, 1.0, 1.0), *, center: ArrayLike = _ORIGIN) -> Tr
     Example:
         >>> gk.mesh.box((1, 2, 3)).volume
         6.0
-
-    Held by: tests/mesh/test_primitives.py
     """
     lengths = require_table(size, "size", (3,))
     if lengths.min() <= 0.0:
@@ -64,8 +62,6 @@ def sphere(radius: float = 1.0, *, segments: int = 48, center: ArrayLike = _ORIG
     Example:
         >>> bool(abs(gk.mesh.sphere(2.0, segments=100).area / (16 * np.pi) - 1) < 2e-3)
         True
-
-    Held by: tests/mesh/test_primitives.py
     """
     radius = _length(radius, "radius")
     angle = np.linspace(0.0, np.pi, -(-_segments(segments) // 2) + 1)
@@ -92,8 +88,6 @@ def cylinder(
     Example:
         >>> gk.mesh.cylinder(1.0, 2.0).bounds[:, 2]
         array([-1.,  1.])
-
-    Held by: tests/mesh/test_primitives.py
     """
     radius, half = _length(radius, "radius"), _length(height, "height") / 2.0
     return _revolved([[0.0, -half], [radius, -half], [radius, half], [0.0, half]], segments, center, "cylinder")
@@ -117,8 +111,6 @@ def cone(radius: float = 1.0, height: float = 1.0, *, segments: int = 48, center
     Example:
         >>> gk.mesh.cone(1.0, 2.0, segments=4).volume
         1.3333333333333333
-
-    Held by: tests/mesh/test_primitives.py
     """
     radius, half = _length(radius, "radius"), _length(height, "height") / 2.0
     return _revolved([[0.0, -half], [radius, -half], [0.0, half]], segments, center, "cone")
@@ -151,8 +143,6 @@ def torus(
     Example:
         >>> gk.mesh.audit(gk.mesh.torus()).euler_number
         0
-
-    Held by: tests/mesh/test_primitives.py
     """
     radius, tube_radius = _length(radius, "radius"), _length(tube_radius, "tube_radius")
     if tube_radius >= radius:
@@ -177,8 +167,6 @@ def plane(size: ArrayLike = (1.0, 1.0), *, segments: int = 1, center: ArrayLike 
     Example:
         >>> gk.mesh.plane((2, 3)).area
         6.0
-
-    Held by: tests/mesh/test_primitives.py
     """
     lengths = require_table(size, "size", (2,))
     if lengths.min() <= 0.0:

@@ -68,8 +68,6 @@ def orient(mesh: MeshLike) -> OrientedMesh:
         >>> gk.mesh.orient(gk.mesh.TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]],
         ...     [[0, 2, 1], [0, 1, 3], [0, 3, 2], [3, 2, 1]])).flipped
         array([False, False, False,  True])
-
-    Held by: tests/mesh/topology/test_repair_property.py, tests/accuracy/stability/test_envelopes.py
     """
     from geokit.mesh._surface import Surface
     from geokit.mesh.topology.orientation import orient_faces
@@ -113,8 +111,6 @@ def merge_vertices(mesh: MeshLike, *, tolerance: float = 0.0) -> TriangleMesh:
         ...     [[0, 1, 2], [3, 4, 5]])
         >>> gk.mesh.merge_vertices(soup)
         TriangleMesh(4 vertices, 2 faces)
-
-    Held by: tests/mesh/topology/test_repair_property.py, tests/accuracy/stability/test_envelopes.py
     """
     mesh = require_mesh(mesh, "mesh")
     tolerance = require_finite_scalar(tolerance, "tolerance")
@@ -153,8 +149,6 @@ def drop_degenerate(mesh: MeshLike, *, duplicates: bool = False, unreferenced: b
     Example:
         >>> gk.mesh.drop_degenerate(gk.mesh.TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2], [0, 1, 1]]))
         TriangleMesh(3 vertices, 1 faces)
-
-    Held by: tests/mesh/topology/test_repair.py
     """
     mesh = require_mesh(mesh, "mesh")
     require_flag(duplicates, "duplicates")

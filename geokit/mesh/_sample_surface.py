@@ -105,8 +105,6 @@ def sample_surface(
         (1000, 3)
         >>> gk.mesh.sample_surface(triangle, 100, method="poisson_disk").radius > 0.05
         True
-
-    Held by: tests/mesh/queries/test_sample_surface.py
     """
     mesh = require_mesh(mesh, "mesh", images=False)
     count, radius = _checked(count, method, radius)

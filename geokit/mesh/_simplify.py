@@ -117,8 +117,6 @@ def simplify(
         >>> small = gk.mesh.simplify(torus, tolerance=0.01)
         >>> len(torus.faces) // len(small.mesh.faces) > 10, small.deviation <= 0.01
         (True, True)
-
-    Held by: tests/mesh/simplification/test_simplify.py, tests/house/test_tolerances_property.py
     """
     mesh = require_mesh(mesh, "mesh")
     if (tolerance is None) == (face_count is None):

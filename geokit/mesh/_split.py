@@ -43,8 +43,6 @@ def split(mesh: MeshLike, *, by: str = "components") -> list[TriangleMesh]:
         >>> two = gk.mesh.TriangleMesh(corners, [[0, 1, 2], [3, 4, 5]], name="two")
         >>> gk.mesh.split(two)
         [TriangleMesh('two', 3 vertices, 1 faces), TriangleMesh('two', 3 vertices, 1 faces)]
-
-    Held by: tests/mesh/test_split.py
     """
     mesh = require_mesh(mesh, "mesh")
     require_choice(by, "by", KINDS)
@@ -82,8 +80,6 @@ def keep_largest(mesh: MeshLike, count: int = 1, *, share: float | None = None) 
         >>> bracket = gk.mesh.load("data/samples/bracket.obj")
         >>> gk.mesh.keep_largest(bracket).face_count == bracket.face_count
         True
-
-    Held by: tests/mesh/test_split.py
     """
     mesh = require_mesh(mesh, "mesh")
     require_count(count, "count", 1)

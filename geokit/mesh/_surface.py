@@ -77,8 +77,6 @@ class Surface(SignQueries, RayQueries, DistanceQueries):
     Raises:
         InputError: The mesh has no faces, more than 107 million on a GPU, or there is no such device.
         DeviceMemoryError: The device cannot hold the mesh.
-
-    Held by: tests/mesh/test_surface.py
     """
 
     # Holds recordings of small queries.
@@ -257,8 +255,6 @@ class Surface(SignQueries, RayQueries, DistanceQueries):
             >>> surface.update(triangle.vertices + [0, 0, 5])
             >>> surface.closest_point([[0.25, 0.25, 7.0]]).distance
             array([2.])
-
-        Held by: tests/mesh/test_surface_update.py
         """
         vertices, tracked = split(vertices)
         vertices, expected = read_array(vertices, "vertices"), self.mesh.vertex_count

@@ -83,8 +83,6 @@ class Surfaces:
         >>> surfaces = gk.mesh.Surfaces(meshes, device="cpu")
         >>> surfaces.contains([[0, 0, 1.5], [0, 0, 1.5], [0, 0, 2.5]], [0, 1, 3])
         array([False,  True, False])
-
-    Held by: tests/mesh/test_surfaces.py, tests/mesh/test_surfaces_gradients.py
     """
 
     _cache = CacheAttribute()
@@ -216,8 +214,6 @@ class Surfaces:
             InputError: points is not of such a shape or not finite, offsets do not fit, max_distance is negative or not
                 a number, a map is not rigid (to 1e-6) or is given beside tensors with gradients, or a mesh is smaller
                 than 1e-70 or larger than 1e70.
-
-        Held by: tests/mesh/test_surfaces.py
         """
         reach = checked_radius(max_distance)
         self._require_measurable()
@@ -253,8 +249,6 @@ class Surfaces:
             SignedDistances; each ``triangle_id`` is a row of its mesh's faces.
         Raises:
             InputError: As for :meth:`closest_point`, or there is no such sign.
-
-        Held by: tests/mesh/test_surfaces.py
         """
         require_choice(sign, "sign", SIGN_METHODS)
         reach = checked_radius(max_distance)
@@ -290,8 +284,6 @@ class Surfaces:
         Raises:
             InputError: points is not of such a shape or not finite, offsets do not fit, there is no such sign, or a map
                 is not rigid (to 1e-6) or is given beside tensors with gradients.
-
-        Held by: tests/mesh/test_surfaces.py
         """
         import warp as wp
 
@@ -338,8 +330,6 @@ class Surfaces:
                 offsets do not fit, t_min is negative or not finite, max_distance is negative or not a number, a map is
                 not rigid (to 1e-6) or is given beside tensors with gradients, or a mesh is smaller than 1e-70 or larger
                 than 1e70.
-
-        Held by: tests/mesh/test_surfaces.py
         """
         import warp as wp
 

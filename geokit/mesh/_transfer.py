@@ -74,8 +74,6 @@ def transfer_attributes(
         >>> small = gk.mesh.transfer_attributes(small, heights)
         >>> bool(abs(small.vertex_data["height"] - small.vertices[:, 2]).max() < 0.01)
         True
-
-    Held by: tests/mesh/attributes/test_transfer.py
     """
     mesh = require_mesh(mesh, "mesh")
     if not isinstance(source, Surface):

@@ -41,8 +41,6 @@ def transform(mesh: MeshLike, matrix: ArrayLike) -> TriangleMesh:
         >>> doubled = gk.mesh.transform(bracket, [[2, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 0], [0, 0, 0, 1]])
         >>> round(doubled.volume / bracket.volume, 9)
         8.0
-
-    Held by: tests/mesh/test_transform.py
     """
     mesh = require_mesh(mesh, "mesh")
     table = require_affine(matrix, "matrix")

@@ -59,8 +59,6 @@ def union(mesh: MeshLike, *others: MeshLike) -> TriangleMesh:
         >>> both = gk.mesh.union(low, high)
         >>> both.area, both.volume
         (10.0, 2.0)
-
-    Held by: tests/mesh/solids/test_union.py, tests/mesh/solids/test_union_property.py
     """
     from geokit.mesh._surface import Surface
     from geokit.mesh.solids.boundary import boundary_of

@@ -53,8 +53,6 @@ def convert_unit(
         >>> part = gk.mesh.TriangleMesh([[0, 0, 0], [4, 0, 0], [0, 2, 0]], [[0, 1, 2]], meters_per_unit=0.0254)
         >>> gk.mesh.convert_unit(part, "mm").bounds[1].tolist()
         [101.6, 50.8, 0.0]
-
-    Held by: tests/mesh/test_unit.py
     """
     mesh = require_mesh(mesh, "mesh")
     meters, up = mesh.meters_per_unit, mesh.up_axis

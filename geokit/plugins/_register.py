@@ -33,8 +33,6 @@ def register(*libraries: str) -> dict[str, tuple[str, ...]]:
     Example:
         >>> geokit.register("meshio")
         {'meshio': ('.vdb', '.nvdb')}
-
-    Held by: tests/plugins/test_register.py
     """
     for library in libraries:
         require_choice(library, "libraries", tuple(_REGISTER))

@@ -45,8 +45,6 @@ def read(
         InputError: As for :func:`geokit.volume.load`, or kind is none of these.
         FileAccessError, FileFormatError: The file is missing or damaged.
         DeviceMemoryError: The voxels take more than most_bytes.
-
-    Held by: tests/plugins/test_meshio_files.py
     """
     from geokit.mesh._convert import to_meshio
     from geokit.mesh._from_volume import from_volume
@@ -91,8 +89,6 @@ def write(path: str | os.PathLike[str], mesh: Any, **options: Any) -> None:
     Raises:
         InputError: The mesh has no polygons, or an option does not fit.
         FileAccessError: The target cannot be written.
-
-    Held by: tests/plugins/test_meshio_files.py
     """
     from geokit.plugins.pyvista_files import write as write_level_set
 

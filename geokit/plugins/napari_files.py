@@ -47,8 +47,6 @@ def read_volumes(path: Paths) -> list[Layer]:
         FileAccessError, FileFormatError: A file is missing or damaged.
         DeviceMemoryError: The box around the active voxels of a grid is larger than 4 GiB.
         UnsupportedGridError: A grid stores no values.
-
-    Held by: tests/plugins/test_napari_files.py
     """
     from geokit.mesh._from_volume import from_volume
     from geokit.volume._io import load_all
@@ -73,8 +71,6 @@ def read_meshes(path: Paths) -> list[Layer]:
         Tuples of data, arguments and kind of each layer.
     Raises:
         FileAccessError, FileFormatError: A file is missing or damaged.
-
-    Held by: tests/plugins/test_napari_files.py
     """
     from geokit.mesh._io import load
 

@@ -27,8 +27,6 @@ class SurfaceAccessor:
     """``polydata.geokit``: the mesh, and queries of it.
 
     Nothing is kept between calls, since a data set may change at any time: for many queries take :meth:`surface` once.
-
-    Held by: tests/plugins/test_pyvista_accessors.py
     """
 
     def __init__(self, dataset: Any) -> None:
@@ -63,10 +61,7 @@ class SurfaceAccessor:
 
 
 class ImageAccessor:
-    """``image.geokit``: the active scalars as a sparse volume, and their isosurface.
-
-    Held by: tests/plugins/test_pyvista_accessors.py
-    """
+    """``image.geokit``: the active scalars as a sparse volume, and their isosurface."""
 
     def __init__(self, dataset: Any) -> None:
         self._dataset = dataset

@@ -29,8 +29,6 @@ def read(
         InputError: As for :func:`geokit.volume.load`, or kind is none of these.
         FileAccessError, FileFormatError: The file is missing or damaged.
         DeviceMemoryError: The image is larger than most_bytes.
-
-    Held by: tests/plugins/test_pyvista_files.py
     """
     from geokit.mesh._convert import to_pyvista as mesh_to_pyvista
     from geokit.mesh._from_volume import from_volume
@@ -57,8 +55,6 @@ def write(dataset: Any, path: str | os.PathLike[str], **options: Any) -> None:
     Raises:
         InputError: The data set is neither, or an option does not fit.
         FileAccessError: The target cannot be written.
-
-    Held by: tests/plugins/test_pyvista_files.py
     """
     from geokit.core.interop.objects import has_faces, image_of
     from geokit.volume._dense import from_dense

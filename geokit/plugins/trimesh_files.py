@@ -44,8 +44,6 @@ def load_mesh(
     Raises:
         InputError: As for :func:`geokit.volume.load`, or isovalue is missing.
         FileAccessError, FileFormatError: The file is missing or damaged.
-
-    Held by: tests/plugins/test_trimesh_files.py
     """
     from geokit.mesh._from_volume import from_volume
 
@@ -86,8 +84,6 @@ def load_voxels(
         InputError: As for :func:`geokit.volume.load`, or the values are vectors.
         FileAccessError, FileFormatError: The file is missing or damaged.
         DeviceMemoryError: The array is larger than most_bytes.
-
-    Held by: tests/plugins/test_trimesh_files.py
     """
     from trimesh.voxel import VoxelGrid
 

@@ -26,10 +26,7 @@ NOTHING = np.array([[0, 0, 0], [-1, -1, -1]])
 
 
 class VolumeBackend(BackendEntrypoint):
-    """xarray's engine ``geokit``, for .vdb and .nvdb files.
-
-    Held by: tests/plugins/test_xarray_backend.py
-    """
+    """xarray's engine ``geokit``, for .vdb and .nvdb files."""
 
     description = "Sparse volumes of OpenVDB and NanoVDB (.vdb, .nvdb)"
 

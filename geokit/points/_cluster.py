@@ -48,8 +48,6 @@ def cluster(points: Rows, *, radius: float, minimum_count: int = 5, device: Devi
         >>> line = [[0, 0, 0], [1, 0, 0], [2, 0, 0], [9, 0, 0]]
         >>> gk.points.cluster(line, radius=1.0, minimum_count=3, device="cpu").tolist()
         [0, 0, 0, -1]
-
-    Held by: tests/points/clouds/test_cluster.py, tests/points/clouds/test_clouds_property.py
     """
     import warp as wp
 

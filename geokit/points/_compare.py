@@ -117,8 +117,6 @@ def chamfer(a: Rows, b: Rows, *, groups: Rows | None = None, device: Device = No
         >>> a, b, each = [[0, 0, 0], [1, 0, 0]], [[0, 0, 2], [1, 0, 3]], [0, 1, 2]
         >>> gk.points.chamfer(a, b, groups=(each, each), device="cpu").distance.tolist()
         [2.0, 3.0]
-
-    Held by: tests/points/test_compare.py
     """
     if groups is not None:
         return _chamfer_of_groups(a, b, groups, device)
@@ -146,8 +144,6 @@ def hausdorff(a: Rows, b: Rows, *, device: Device = None) -> HausdorffDistance:
         >>> distance = gk.points.hausdorff([[0, 0, 0], [4, 0, 0]], [[0, 0, 0], [1, 0, 0]], device="cpu")
         >>> distance.max, distance.index_a, distance.index_b, distance.b_to_a.max
         (3.0, 1, 1, 1.0)
-
-    Held by: tests/points/test_compare.py
     """
     found: HausdorffDistance = _compared(a, b, device, _hausdorff_of)
     return found

@@ -34,8 +34,6 @@ def to_pyvista(points: PointCloud) -> Any:
     Raises:
         InputError: points holds no points (N, 3).
         MissingDependencyError: PyVista is not installed.
-
-    Held by: tests/points/test_objects.py
     """
     cloud = _cloud(points)
     pyvista = require_package("pyvista")
@@ -59,8 +57,6 @@ def to_open3d(points: PointCloud) -> Any:
     Raises:
         InputError: points holds no points (N, 3).
         MissingDependencyError: Open3D is not installed.
-
-    Held by: tests/points/test_objects.py
     """
     cloud = _cloud(points)
     try:
@@ -96,8 +92,6 @@ def to_trimesh(points: PointCloud) -> Any:
         trimesh.PointCloud with copies of the arrays, float64.
     Raises:
         InputError: points holds no points (N, 3).
-
-    Held by: tests/points/test_objects.py
     """
     cloud = _cloud(points)
     import trimesh

@@ -80,8 +80,6 @@ def density(
         >>> around = gk.points.density([[0, 0, 0], [1, 0, 0]], radius=2.0, mass=8 * np.pi / 3, device="cpu")
         >>> around.round(12).tolist()
         [0.5, 0.5]
-
-    Held by: tests/points/clouds/test_density.py, tests/accuracy/stability/test_envelopes.py
     """
     import warp as wp
 

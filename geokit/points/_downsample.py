@@ -100,8 +100,6 @@ def downsample(
         [0, 3, 2]
         >>> gk.points.downsample(line, radius=0.5, device="cpu").indices.tolist()
         [0, 2, 3]
-
-    Held by: tests/points/clouds/test_downsample.py, tests/points/clouds/test_downsample_property.py
     """
     given = {"voxel_size": voxel_size, "count": count, "radius": radius, "tolerance": tolerance}
     chosen = [name for name, value in given.items() if value is not None]
@@ -158,8 +156,6 @@ def cover(points: Rows, *, tolerance: float, seed: int = 0, device: Device = Non
         >>> found = gk.points.cover(line, tolerance=0.5, device="cpu")
         >>> found.indices.tolist(), round(found.deviation, 12)
         ([0, 2, 3], 0.2)
-
-    Held by: tests/points/clouds/test_downsample.py, tests/house/test_tolerances_property.py
     """
     target = launcher.resolve_device(device)
     distance = require_finite_scalar(tolerance, "tolerance", low=0.0)

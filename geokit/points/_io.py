@@ -202,9 +202,6 @@ def load(
     Example:
         >>> load("data/samples/cloud.ply")
         PointCloud(20000 points, data: normals)
-
-    Held by: tests/formats/test_damaged_points_stability.py, tests/formats/test_bombs_stability.py,
-    tests/formats/reader/test_trusted.py, tests/native/test_points.py
     """
     return load_counted(
         path, grid=grid, columns=columns, finite_only=finite_only, trusted=trusted, memory_limit=memory_limit
@@ -382,8 +379,6 @@ def save(
             extension.
     Example:
         >>> save("grains.pcd", [[0, 0, 0], [1, 0, 0]], data={"radius": [0.5, 0.25]}, encoding="ascii")
-
-    Held by: tests/formats/test_points_pcd_pts_las.py, tests/native/test_points.py
     """
     kind = require_format(path, "points", "w", "point")
     encodings = FORMATS[kind].encodings

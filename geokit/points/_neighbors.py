@@ -229,9 +229,6 @@ class NeighborGrid:
         >>> box = NeighborGrid([[0.1, 0, 0], [0.9, 0, 0]], 0.3, periodic=[1, 1, 1], device="cpu")
         >>> box.neighbor_list(exclude_self=True).shifts.tolist()
         [[-1, 0, 0], [1, 0, 0]]
-
-    Held by: tests/accuracy/stability/test_envelopes.py, tests/points/search/test_groups_property.py,
-        tests/points/search/test_periodic_property.py
     """
 
     # Holds recordings of small queries.
@@ -336,8 +333,6 @@ class NeighborGrid:
             >>> grid.update([[0, 0, 0], [1.1, 0, 0]])
             >>> grid.count().tolist()
             [1, 1]
-
-        Held by: tests/points/search/test_verlet_property.py, tests/points/search/test_verlet.py
         """
         moved: NeighborGrid = object.__new__(type(self))
         moved._device, moved._cell, moved._skin = self._device, self._cell, self._skin
@@ -517,8 +512,6 @@ class NeighborGrid:
                 is negative or not a finite number, or radius has neither one nor Q entries; exclude_self is given with
                 queries; order is not known.
             DeviceMemoryError: The neighbors, or the images, do not fit in memory.
-
-        Held by: tests/points/search/test_periodic_property.py
         """
         if self._cell is None:
             raise InputError("neighbor_list: the grid is not periodic; give periodic=, or use radius_search()")
@@ -564,8 +557,6 @@ class NeighborGrid:
             >>> grid = NeighborGrid([[0, 0, 0], [1, 0, 0], [3, 0, 0]], 1.0, skin=0.5, device="cpu")
             >>> grid.candidates(exclude_self=True).indices.tolist()
             [1, 0]
-
-        Held by: tests/points/search/test_verlet_property.py
         """
         require_flag(exclude_self, "exclude_self")
         listed = self._listed(None, None, exclude_self)
@@ -702,8 +693,6 @@ class NeighborGrid:
             >>> grid = NeighborGrid([[0, 0, 0], [1, 0, 0], [3, 0, 0]], device="cpu")
             >>> grid.knn([[2.5, 0, 0]], k=2).indices.tolist()
             [[2, 1]]
-
-        Held by: tests/points/search/test_nearest_property.py
         """
         return self._nearest(queries, k, np.inf, exclude_self, groups)
 

@@ -112,9 +112,6 @@ def normals(
         >>> square = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]
         >>> gk.points.normals(square, k=4, device="cpu").normals[0].tolist()
         [0.0, 0.0, 1.0]
-
-    Held by: tests/points/clouds/test_normals.py, tests/points/clouds/test_normals_envelope.py,
-    tests/points/clouds/test_normals_stability.py, tests/accuracy/stability/test_envelopes.py
     """
     k = require_count(k, "k", MIN_K, MAX_K)
     if radius is not None:

@@ -71,8 +71,6 @@ def outliers(
         >>> line = [[0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0], [90, 0, 0]]
         >>> gk.points.outliers(line, method="radius", radius=1.5, minimum_count=1, device="cpu").tolist()
         [False, False, False, False, True]
-
-    Held by: tests/points/clouds/test_outliers.py, tests/points/clouds/test_clouds_property.py
     """
     require_choice(method, "method", METHODS)
     target = launcher.resolve_device(device)

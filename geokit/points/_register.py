@@ -173,9 +173,6 @@ def register(
         >>> found = gk.points.register(corners, corners + [0.1, 0, 0], method="point_to_point", device="cpu")
         >>> float(found.transform[0, 3].round(6)), found.rank, found.converged
         (0.1, 6, True)
-
-    Held by: tests/points/clouds/test_register.py, tests/points/clouds/test_register_envelope.py,
-    tests/points/clouds/test_register_stability.py, tests/accuracy/stability/test_envelopes.py
     """
     require_choice(method, "method", METHODS)
     limit = require_finite_scalar(max_distance, "max_distance", low=0.0, infinite=True)

@@ -52,8 +52,6 @@ def sample(
     Example:
         >>> sample(gk.mesh.load("data/samples/torus.ply"), 100)
         PointCloud(100 points, data: normals)
-
-    Held by: tests/mesh/attributes/test_transfer.py
     """
     mesh = require_mesh(mesh, "mesh", images=False)
     found = sample_surface(mesh, count, method=method, radius=radius, seed=seed)

@@ -176,8 +176,6 @@ def figure(
             that are known and differ.
         FileAccessError: The target cannot be written.
         MissingDependencyError: No OpenGL library works here; the message names the packages.
-
-    Held by: tests/render/test_figures.py, tests/render/test_painted.py, tests/render/test_shadow.py
     """
     from geokit.mesh._objects import require_mesh
     from geokit.volume._model import SparseVolume

@@ -70,7 +70,7 @@ def slice_figure(
         axis: The axis that the plane is perpendicular to: "x", "y" or "z".
         position: Coordinate of the plane on the axis [world]; None uses the middle of the active voxels.
         contours: Values of the contour lines; None spreads nine over the range.
-        label: Text beside the color bar.
+        label: Text beside the color bar; by default the name of the grid, of vectors as |name|.
         title: Text above the figure.
         size: Width and height of the figure in pixels.
         device: The device that samples the plane.
@@ -100,13 +100,16 @@ def slice_figure(
     positions[..., right], positions[..., up] = np.meshgrid(u, v)
     positions[..., across] = where
     values = np.asarray(volume.sample(positions.reshape(-1, 3), device=device), dtype=np.float64)
+    name = volume.info.name.encode("utf-8", "replace").decode()
+    shown = name
     if values.ndim == 2:
-        values = np.linalg.norm(values, axis=1)
+        values, shown = np.linalg.norm(values, axis=1), f"|{name}|"
     values = values.reshape(len(v), len(u))
 
     signed = volume.info.grid_class == "level set"
     low, high = value_range(values, None, centered=signed)
     figure, (panel,) = new_axes((width, height), 1)
+    figure.set_layout_engine("compressed")  # the plane keeps its shape, and the bar stands beside it
     placed: dict[str, Any] = {"origin": "lower", "extent": (u[0], u[-1], v[0], v[-1])}
     beyond = _beyond_band(values, volume.info.background) if signed else np.zeros(values.shape, dtype=bool)
     drawn = panel.imshow(
@@ -120,10 +123,9 @@ def slice_figure(
     if beyond.any():
         shade = np.ma.array(np.where(values < 0.0, INSIDE, OUTSIDE), mask=~beyond)
         panel.imshow(shade, cmap="gray", vmin=0.0, vmax=1.0, interpolation="nearest", **placed)
-    name = volume.info.name.encode("utf-8", "replace").decode()
     _draw_contours(panel, u, v, values, levels, (low, high), signed)
     panel.set(xlabel=AXES[right], ylabel=AXES[up], title=title or f"{name} at {axis} = {where:.4g}")
-    figure.colorbar(drawn, ax=panel, label=label or name)
+    figure.colorbar(drawn, ax=panel, label=label or shown)
     return save_figure(figure, target)
 
 

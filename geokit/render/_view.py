@@ -104,8 +104,6 @@ def view(
             differ.
         FileAccessError: The target cannot be written.
         UnsupportedGridError: A grid stores points, or indices without a channel.
-
-    Held by: tests/render/viewer/test_page.py, tests/render/viewer/test_browser.py
     """
     from geokit.render.viewer.arrays import Arrays
     from geokit.render.viewer.page import page_text

@@ -37,8 +37,6 @@ class Surface(mesh.Surface):
         >>> surface.closest_point(torch.tensor([[0.25, 0.25, 2.0]])).distance.sum().backward()
         >>> vertices.grad[:, 2]
         tensor([-0.5000, -0.2500, -0.2500])
-
-    Held by: tests/torch/test_surface.py
     """
 
     def __init__(self, vertices: Any, faces: Any, *, device: Device = None) -> None:
@@ -74,8 +72,6 @@ def sample_surface(
         barycentric (N, 3); radius.
     Raises:
         InputError: ``vertices`` is no tensor of float32 or float64, or as :func:`geokit.mesh.sample_surface`.
-
-    Held by: tests/torch/test_surface.py
     """
     _require_tensor(vertices, "take geokit.mesh.sample_surface for other arrays")
     made = _mesh(vertices.detach(), faces)

@@ -45,8 +45,6 @@ def active_at(volume: SparseVolume, points: Rows, *, space: str = "world", devic
         >>> from geokit.volume import load
         >>> active_at(load("data/samples/torus.vdb"), [[0.7, 0.0, 0.0], [9.0, 9.0, 9.0]]).tolist()
         [True, False]
-
-    Held by: tests/volume/sampling/test_active.py
     """
     import warp as wp
 

@@ -159,8 +159,6 @@ class AdaptiveSDF:
             Distances (N,) [world] in the container of ``points``, float64 (float32 where the points are).
         Raises:
             InputError: points is not (N, 3) or not finite.
-
-        Held by: tests/volume/adaptive/test_adaptive.py
         """
         return self._answer(points, device, gradient=False)
 
@@ -179,8 +177,6 @@ class AdaptiveSDF:
             Gradients (N, 3) [world / world] in the container of ``points``, float64 (float32 where the points are).
         Raises:
             InputError: points is not (N, 3) or not finite.
-
-        Held by: tests/volume/adaptive/test_adaptive.py
         """
         return self._answer(points, device, gradient=True)
 
@@ -312,9 +308,6 @@ def adaptive_from_mesh(
         >>> field = adaptive_from_mesh(mesh, 0.01, device="cpu")
         >>> bool(abs(field.sample([[0.25, 0.25, 0.0]], device="cpu")[0]) <= 0.01)
         True
-
-    Held by: tests/volume/adaptive/test_adaptive_property.py, tests/volume/adaptive/test_adaptive_stability.py,
-        tests/volume/adaptive/test_adaptive_envelope.py
     """
     if name is not None:
         require_text(name, "name")

@@ -48,8 +48,6 @@ def connected_components(volume: SparseVolume, *, device: Device = None) -> Conn
     many are in the order of the grid's leaves. The time grows with the leaves, not with the components. Needs no
     OpenVDB.
 
-    Held by: tests/volume/components/test_connected_components.py, test_connected_components_property.py.
-
     Args:
         volume: A grid of any type that holds values.
         device: Where to compute; None for the first GPU, else the CPU. The result is the same.
@@ -81,8 +79,6 @@ def segment(volume: SparseVolume, *, device: Device = None) -> list[SparseVolume
     split by their active voxels; the voxels of other components become inactive background. Needs no OpenVDB.
 
     Every volume takes 0.3 MB or more, so for many components see :func:`connected_components`.
-
-    Held by: tests/volume/components/test_segment.py, test_segment_stability.py, test_segment_envelope.py.
 
     Args:
         volume: A grid of any type that holds values; quantized ones become float.

@@ -48,8 +48,6 @@ def to_pyvista(volume: SparseVolume, *, bounds: ArrayLike | None = None, device:
         UnsupportedGridError: The grid stores no values of its own.
         DeviceMemoryError: The array does not fit into memory.
         MissingDependencyError: PyVista is not installed.
-
-    Held by: tests/volume/test_objects.py
     """
     dense = _dense(volume, bounds, device)
     linear = dense.transform[:3, :3]
@@ -95,8 +93,6 @@ def to_xarray(volume: SparseVolume, *, bounds: ArrayLike | None = None, device: 
         UnsupportedGridError: The grid stores no values of its own.
         DeviceMemoryError: The array does not fit into memory.
         MissingDependencyError: xarray is not installed.
-
-    Held by: tests/volume/test_objects.py
     """
     dense = _dense(volume, bounds, device)
     try:

@@ -68,9 +68,6 @@ def union(a: SparseVolume, b: SparseVolume, *more: SparseVolume, smooth: float =
         MissingDependencyError: Level sets, and geokit was built without OpenVDB.
     Source:
         Museth et al., "Level set surface editing operators" (2002), as in OpenVDB's csgUnion; smooth minimum: Quilez.
-
-    Held by: tests/volume/test_csg.py, tests/volume/level_set/test_false_walls.py,
-        tests/volume/tree/test_mask_csg.py
     """
     return _combined("union", (a, b, *more), smooth)
 

@@ -69,8 +69,6 @@ def hessian(volume: SparseVolume, points: Rows, *, order: int = 3, space: str = 
         >>> from geokit.volume import load
         >>> hessian(load("data/samples/torus.vdb"), [[1.0, 0.0, 0.0]]).shape
         (1, 3, 3)
-
-    Held by: tests/volume/sampling/test_curvature.py
     """
     import warp as wp
 
@@ -119,8 +117,6 @@ def curvature(volume: SparseVolume, points: Rows, *, order: int = 3, device: Dev
         >>> torus = load("data/samples/torus.vdb")
         >>> curvature(torus, [[1.0, 0.0, 0.0]]).principal.shape
         (1, 2)
-
-    Held by: tests/volume/sampling/test_curvature.py, tests/volume/sampling/test_level_set_derivatives_stability.py
     """
     import warp as wp
 

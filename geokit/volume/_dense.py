@@ -134,9 +134,6 @@ def from_dense(
         8
         >>> from_dense(cube.astype(np.int32), voxel_size=0.1).info.grid_type
         'int32'
-
-    Held by: tests/volume/tree/test_dense.py, tests/volume/tree/test_dense_types.py,
-        tests/volume/tree/test_dense_property.py
     """
     if grid_type is not None:
         require_text(grid_type, "grid_type")
@@ -224,8 +221,6 @@ def to_dense(
         >>> grid = to_dense(from_dense(cube, voxel_size=1.0, origin=(10, 0, 0)), device="cpu")
         >>> grid.values.shape, grid.values[0, 0, 0].item(), grid.origin.tolist()
         ((1, 1, 1), 5.0, [11, 2, 3])
-
-    Held by: tests/volume/tree/test_dense.py
     """
     require_volume(volume, "volume")
     if channel is not None or volume.info.grid_type in INDEX_TYPES:

@@ -43,8 +43,6 @@ def gradient_field(volume: SparseVolume, *, device: Device = None) -> SparseVolu
         InputError: volume is not a SparseVolume.
         UnsupportedGridError: Values are not real numbers.
         DeviceMemoryError: The active tiles hold more voxels than fit into memory.
-
-    Held by: tests/volume/sampling/test_differential.py
     """
     from geokit.volume.sampling import differential_kernels as kernels
 

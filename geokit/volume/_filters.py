@@ -49,8 +49,6 @@ def smooth(volume: SparseVolume, method: str = "gaussian", *, width: int = 1, it
         MissingDependencyError: geokit was built without OpenVDB.
     Source:
         OpenVDB's LevelSetFilter and Filter.
-
-    Held by: tests/accuracy/stability/test_envelopes.py, tests/volume/test_interrupt.py
     """
     require_volume(volume, "volume", ("float", "double"))
     is_level_set = volume.info.grid_class == "level set"

@@ -88,8 +88,6 @@ def from_channel(volume: SparseVolume, channel: int | str = 0) -> SparseVolume:
         >>> from geokit.volume import load
         >>> density = from_channel(load("smoke_index.nvdb"), "density")  # doctest: +SKIP
         >>> density.sample(points, order=3)  # doctest: +SKIP
-
-    Held by: tests/volume/test_from_channel.py
     """
     if require_volume(volume, "volume").info.grid_type not in INDEX_LAYOUTS:
         raise InputError(

@@ -98,8 +98,6 @@ def from_function(
         >>> ball = from_function(lambda p: np.linalg.norm(p, axis=1) - 1.0, [[-2, -2, -2], [2, 2, 2]], 0.1)
         >>> round(float(ball.sample(np.array([[0.0, 0.0, 1.2]]), device="cpu")[0]), 2)
         0.2
-
-    Held by: tests/volume/test_from_function.py, tests/volume/test_from_function_property.py
     """
     run = _Refinement(function, bounds, voxel_size, lipschitz, half_width, block)
     origins, values, masks = run.leaves()

@@ -218,10 +218,6 @@ def from_mesh(
         >>> fine = gk.volume.from_mesh(mesh, tolerance=1e-3, device="cpu")
         >>> fine.info.achieved_error <= 1e-3
         True
-
-    Held by: tests/volume/band/test_from_mesh.py, tests/volume/band/test_sign_change_tiles.py,
-        tests/volume/band/test_interior.py, tests/volume/band/test_on_the_lattice.py,
-        tests/volume/tolerance/test_from_mesh_property.py, tests/accuracy/stability/test_envelopes.py
     """
     require_choice(method, "method", METHODS)
     require_flag(compact, "compact")
@@ -302,8 +298,6 @@ def from_mesh_with_triangles(
     Raises:
         InputError: As for :func:`from_mesh`.
         DeviceMemoryError: As for :func:`from_mesh`.
-
-    Held by: tests/volume/band/test_from_mesh.py
     """
     surface, shape, lattice = _prepared(mesh, voxel_size, half_width, sign, thickness, interior, device)
     head = grid_head(shape, lattice, surface.mesh.name if name is None else name)

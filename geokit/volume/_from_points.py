@@ -96,8 +96,6 @@ def from_points(
         >>> ball = from_points([[0.0, 0.0, 0.0]], 1.0, voxel_size=0.1, device="cpu")
         >>> ball.info.world_bounds.round(1).tolist()
         [[-1.2, -1.2, -1.2], [1.2, 1.2, 1.2]]
-
-    Held by: tests/volume/band/test_from_points.py, tests/volume/band/test_from_points_property.py
     """
     voxel_size, half_width = checked_band(voxel_size, half_width)
     target = launcher.resolve_device(device)

@@ -84,9 +84,6 @@ def integrate(
         >>> smoke = load("data/samples/smoke.vdb", grid="density")
         >>> integrate(smoke, [[0.0, 0.0, 9.0]], [[0.0, 0.0, -1.0]], extinction=20.0, device="cpu").transmittance.shape
         (1,)
-
-    Held by: tests/volume/rays/test_integrate.py, tests/volume/rays/test_rays_property.py,
-        tests/volume/rays/test_integrate_gradients.py, tests/accuracy/stability/test_envelopes.py
     """
     import warp as wp
 

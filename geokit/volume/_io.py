@@ -132,8 +132,6 @@ def load(
             volume without the package of its format.
         DeviceMemoryError: The content is larger than memory_limit, or the grid does not fit into memory.
 
-    Held by: tests/formats/test_bombs_stability.py, tests/formats/images, tests/volume/images/test_build.py
-
     Example:
         >>> load("data/samples/smoke.vdb", grid="density").info.grid_class
         'fog volume'
@@ -310,8 +308,6 @@ def save(path: str | os.PathLike[str], *volumes: SparseVolume, codec: str | None
         UnsupportedGridError: .vdb has no such grid type.
         MissingDependencyError: .vdb without the OpenVDB extension, codec "blosc" without blosc, or another format
             without its package.
-
-    Held by: tests/volume/test_io.py, tests/formats/images
 
     Example:
         >>> save("out.nvdb", load("data/samples/torus.vdb"), codec="zip")

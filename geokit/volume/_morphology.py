@@ -60,8 +60,6 @@ def renormalize(
     Source:
         Closest features as in Danielsson, "Euclidean distance mapping" (1980). Differs: features are pieces of the
             surface with a direction and a curvature instead of points.
-
-    Held by: tests/volume/level_set/test_morphology.py, tests/accuracy/stability/test_envelopes.py
     """
     voxel_size = require_level_set(volume, "volume")
     widths = widths_of(volume, voxel_size) if half_width is None else _checked_half_widths(half_width)
@@ -99,10 +97,6 @@ def offset(volume: SparseVolume, distance: float, *, device: Device = None) -> S
     Source:
         Ju et al., Dual Contouring of Hermite Data (2002) for the mesh that keeps edges; Hildreth, "A quadratic
             programming procedure" (1957) for the distance from the body behind tangent planes.
-
-    Held by: tests/volume/level_set/test_morphology.py, tests/volume/level_set/test_sharp_edges.py,
-        tests/volume/level_set/test_sharp_edges_stability.py, tests/volume/level_set/test_sharp_edges_envelope.py,
-        tests/accuracy/stability/test_envelopes.py
     """
     voxel_size = require_level_set(volume, "volume")
     distance = require_finite_scalar(distance, "distance")
@@ -146,10 +140,6 @@ def dilate(
             otherwise as for :func:`offset`.
         UnsupportedGridError: A grid of indices or points; with ``distance``, a grid whose values are not real numbers.
         DeviceMemoryError: The result does not fit into memory.
-
-    Held by: tests/volume/level_set/test_morphology.py, tests/volume/level_set/test_active_morphology.py,
-        tests/volume/level_set/test_active_morphology_types.py, tests/volume/level_set/test_sharp_edges.py,
-        tests/volume/level_set/test_sharp_edges_stability.py, tests/volume/level_set/test_sharp_edges_envelope.py
     """
     return _changed(volume, distance, voxels, neighbors, (1,), device)
 
@@ -183,10 +173,6 @@ def erode(
             otherwise as for :func:`offset`.
         UnsupportedGridError: A grid of indices or points; with ``distance``, a grid whose values are not real numbers.
         DeviceMemoryError: The result does not fit into memory.
-
-    Held by: tests/volume/level_set/test_morphology.py, tests/volume/level_set/test_active_morphology.py,
-        tests/volume/level_set/test_active_morphology_types.py, tests/volume/level_set/test_sharp_edges.py,
-        tests/volume/level_set/test_sharp_edges_stability.py, tests/volume/level_set/test_sharp_edges_envelope.py
     """
     return _changed(volume, distance, voxels, neighbors, (-1,), device)
 
@@ -220,10 +206,6 @@ def opening(
             otherwise as for :func:`offset`.
         UnsupportedGridError: A grid of indices or points; with ``distance``, a grid whose values are not real numbers.
         DeviceMemoryError: The result does not fit into memory.
-
-    Held by: tests/volume/level_set/test_morphology.py, tests/volume/level_set/test_active_morphology.py,
-        tests/volume/level_set/test_active_morphology_types.py, tests/volume/level_set/test_sharp_edges.py,
-        tests/volume/level_set/test_sharp_edges_stability.py, tests/volume/level_set/test_sharp_edges_envelope.py
     """
     return _changed(volume, distance, voxels, neighbors, (-1, 1), device)
 
@@ -257,10 +239,6 @@ def closing(
             otherwise as for :func:`offset`.
         UnsupportedGridError: A grid of indices or points; with ``distance``, a grid whose values are not real numbers.
         DeviceMemoryError: The result does not fit into memory.
-
-    Held by: tests/volume/level_set/test_morphology.py, tests/volume/level_set/test_active_morphology.py,
-        tests/volume/level_set/test_active_morphology_types.py, tests/volume/level_set/test_sharp_edges.py,
-        tests/volume/level_set/test_sharp_edges_stability.py, tests/volume/level_set/test_sharp_edges_envelope.py
     """
     return _changed(volume, distance, voxels, neighbors, (1, -1), device)
 

@@ -118,8 +118,6 @@ def plan(
         >>> field = gk.volume.quantize(field, best.codec, tolerance=best.codec_tolerance)
         >>> field.info.byte_count == best.byte_count
         True
-
-    Held by: tests/volume/tolerance/test_from_mesh.py, tests/volume/adaptive/test_adaptive_envelope.py
     """
     search = tolerance_search(
         mesh,

@@ -72,9 +72,6 @@ def quantize(
         >>> small = quantize(torus, tolerance=1e-3)
         >>> small.info.grid_type, small.info.metadata["geokit:achieved_error"] <= 1e-3
         ('fpn', True)
-
-    Held by: tests/volume/tree/test_quantize.py, tests/volume/tree/test_quantize_property.py,
-        tests/volume/tree/test_quantize_stability.py, tests/accuracy/stability/test_envelopes.py
     """
     require_flag(dither, "dither")
     tolerance = _checked(require_volume(volume, "volume"), codec, tolerance)

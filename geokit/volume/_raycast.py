@@ -100,9 +100,6 @@ def raycast(
         >>> hits = raycast(load("data/samples/torus.vdb"), [[3.0, 0.0, 0.0]], [[-1.0, 0.0, 0.0]], device="cpu")
         >>> hits.normals.shape
         (1, 3)
-
-    Held by: tests/volume/rays/test_raycast.py, tests/volume/rays/test_rays_property.py,
-        tests/volume/rays/test_rays_stability.py, tests/accuracy/stability/test_envelopes.py
     """
     import warp as wp
 

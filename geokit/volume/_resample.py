@@ -96,8 +96,6 @@ def resample(
             there are too many voxels to be numbered.
         UnsupportedGridError: The grid holds no values, or its type is not interpolated and the order is not 0.
         DeviceMemoryError: The result does not fit into memory.
-
-    Held by: tests/volume/sampling/test_resample.py, tests/volume/sampling/test_resample_nearest.py
     """
     require_volume(volume, "volume")
     order, grid_type = require_order(order), volume.info.grid_type

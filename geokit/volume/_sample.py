@@ -107,11 +107,6 @@ def sample(
         >>> torus = load("data/samples/torus.vdb")
         >>> [sample(torus, [[0.1, 0.2, 0.0]], order=order).shape for order in (0, 1, 2, 3)]
         [(1,), (1,), (1,), (1,)]
-
-    Held by: tests/volume/sampling/test_sample.py, tests/volume/sampling/test_orders.py,
-        tests/volume/sampling/test_staggered.py, tests/volume/sampling/test_sample_property.py,
-        tests/volume/sampling/test_orders_property.py, tests/volume/sampling/test_sample_stability.py,
-        tests/accuracy/stability/test_envelopes.py
     """
     import warp as wp
 
@@ -183,10 +178,6 @@ def gradient(
             transform is not rigid (to 1e-6) or is given beside tensors with gradients, vectors or index coordinates.
         FileFormatError: The buffer is not a valid grid, or a channel has fewer values than the grid has indices.
         UnsupportedGridError: The grid stores points, or indices without a channel, instead of values.
-
-    Held by: tests/volume/sampling/test_level_set_derivatives_stability.py, tests/volume/sampling/test_sample.py,
-        tests/volume/sampling/test_orders.py, tests/volume/sampling/test_staggered.py,
-        tests/volume/sampling/test_orders_property.py
     """
     import warp as wp
 

@@ -68,8 +68,6 @@ def statistics(volume: SparseVolume) -> Statistics:
         InputError: volume is not a SparseVolume, or is a level set whose background is not positive.
         UnsupportedGridError: A grid of colors, indices or points.
         MissingDependencyError: A level set with cubic voxels, and geokit was built without OpenVDB.
-
-    Held by: tests/volume/tree/test_statistics.py
     """
     require_volume(volume, "volume", TYPES)
     area, inside = _measures(volume)

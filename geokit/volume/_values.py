@@ -55,8 +55,6 @@ def active_voxels(volume: SparseVolume) -> ActiveVoxels:
         >>> from geokit.volume import load
         >>> active_voxels(load("data/samples/torus.vdb")).coordinates.shape[1]
         3
-
-    Held by: tests/volume/test_values.py
     """
     _require_real(volume)
     leaf, rows = grid_nodes(volume.nanovdb).leaf, leaves_of(volume)
@@ -88,8 +86,6 @@ def with_values(volume: SparseVolume, values: Any) -> SparseVolume:
         >>> thicker = with_values(torus, active_voxels(torus).values - 0.01)
         >>> thicker.info.active_voxel_count == torus.info.active_voxel_count
         True
-
-    Held by: tests/volume/test_values.py
     """
     _require_real(volume)
     plain, tracked = split(values)

@@ -14,6 +14,7 @@ from geokit.core import launcher
 from geokit.mesh import load as load_mesh
 from geokit.points import downsample
 from geokit.points import load as load_points
+from geokit.volume import from_dense
 from geokit.volume import load as load_volume
 from geokit.volume import save as save_volume
 
@@ -30,6 +31,36 @@ def test_mesh_to_mesh(geokit, cube: Path, tmp_path: Path, kind: str) -> None:
     before, after = load_mesh(cube), load_mesh(target)
     corners = [np.sort(mesh.vertices[mesh.faces].reshape(-1, 9), axis=0) for mesh in (before, after)]
     np.testing.assert_array_equal(*corners)
+
+
+@pytest.mark.parametrize("kind", ["nrrd", "mha", pytest.param("vdb", marks=needs_openvdb)])
+def test_the_mesh_of_one_label_of_a_segmentation(geokit, tmp_path: Path, kind: str) -> None:
+    labels = np.zeros((30, 24, 20), np.int16)
+    labels[4:20, 4:20, 4:16] = 2
+    labels[8:12, 8:12, 8:12] = 3
+    labels[20:26, 6:12, 6:12] = 1
+    transform = np.diag([0.5, 0.5, 2.0, 1.0])
+    transform[:3, 3] = 7.0, -3.0, 100.0
+    source, target = tmp_path / f"labels.{kind}", tmp_path / "two.ply"
+    save_volume(source, from_dense(labels, transform=transform, name="labels"))
+    done = geokit("convert", source, target, "--label", "2")
+    assert done.returncode == 0, done.stderr
+    mesh = load_mesh(target)
+    # The surface is halfway between voxels: the corners and edges of the box and of the hole are cut, 4% here.
+    assert mesh.volume == pytest.approx((labels == 2).sum() * 0.5, rel=0.05)
+    low, high = (
+        transform[:3, :3] @ np.array(corner) + transform[:3, 3] for corner in ((3.5, 3.5, 3.5), (19.5, 19.5, 15.5))
+    )
+    np.testing.assert_allclose(mesh.bounds, [low, high], atol=1e-6)
+    for more, text in (
+        (("--label", "7"), "no voxel of grid 'labels' has label 7; choose one of 0, 1, 2, 3"),
+        (("--label", "0"), "choose another --label, or --background"),
+        (("--label", "2", "--isovalue", "1"), "--isovalue: has no effect with --label"),
+    ):
+        done = geokit("convert", source, tmp_path / "none.ply", *more)
+        assert (done.returncode, text in done.stderr) == (1, True), done.stderr
+    done = geokit("convert", target, tmp_path / "none.stl", "--label", "2")
+    assert (done.returncode, "--label" in done.stderr) == (1, True)
 
 
 @pytest.mark.parametrize(("size", "code"), [("0.5", 0), ("-1", 1)])

@@ -23,7 +23,7 @@ from tests.house.test_rooms import FORWARDING, PACKAGE, edges
 # to verbs. Annotations of public names with Any.
 MOST_FILES = 26
 CEILINGS = {
-    "lines": 117947,
+    "lines": 117640,
     "files in core": 33,
     "files in mesh/bvh": 55,
     "files in mesh/queries": 35,
@@ -42,7 +42,7 @@ CEILINGS = {
 }
 SUFFIXES = {".py", ".pyi", ".inl", ".cpp", ".h", ".js", ".css", ".html", ".map", ".txt", ".yaml", ".typed"}
 # A ceiling of lines is lowered now and then, not with each line.
-SLACK = {"lines": 117892}
+SLACK = {"lines": 500}
 
 
 def files() -> Iterator[Any]:

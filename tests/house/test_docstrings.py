@@ -6,6 +6,7 @@ import doctest
 import importlib
 import importlib.util
 import inspect
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -63,6 +64,22 @@ def test_public_names_are_documented(thing):
         assert "Raises:" in text or not _raises(thing), f"{thing.__name__} does not say what it raises"
         missing = [name for name in inspect.signature(thing).parameters if f"{name}:" not in text]
         assert not missing, f"{thing.__name__} does not describe {missing}"
+
+
+def test_the_table_of_what_tests_hold_is_true():
+    table = (ROOT / "docs" / "held-by.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `([\w.]+)` \| (.+) \|$", table, re.MULTILINE)
+    assert len(rows) > 100
+    names = [name for name, _ in rows]
+    assert names == sorted(names), "rows are in the order of their names"
+    for name, files in rows:
+        for file in re.findall(r"`([^`]+)`", files):
+            assert (ROOT / file).exists(), f"{name}: {file}"
+
+
+def test_docstrings_do_not_name_their_tests():
+    for path in (ROOT / "geokit").rglob("*.py"):
+        assert "Held by" not in path.read_text(encoding="utf-8"), f"{path}: give it a row in docs/held-by.md"
 
 
 def _raises(function) -> bool:

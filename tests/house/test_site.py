@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import importlib.metadata
 import importlib.util
 import inspect
@@ -53,6 +54,9 @@ def resolve(dotted: str, objects: dict[str, object]) -> object:
     first, *rest = dotted.split(".")
     found = geokit if first in ("gk", "geokit") else objects[first]
     for name in rest:
+        inner = f"{found.__name__}.{name}" if inspect.ismodule(found) and not hasattr(found, name) else ""
+        if inner and importlib.util.find_spec(inner):
+            importlib.import_module(inner)
         if name in getattr(found, "__annotations__", {}) or (not hasattr(found, name) and _has_field(found, name)):
             return None  # the type of a field is not followed
         found = getattr(found, name)

@@ -18,6 +18,7 @@ from geokit.errors import FileAccessError, InputError
 from geokit.mesh import TriangleMesh
 from geokit.render import _backend
 from geokit.render._scene import round_values
+from geokit.volume import gradient_field
 
 SIZE = (400, 300)
 
@@ -276,6 +277,14 @@ def test_slice_shows_the_zero_contour(tmp_path: Path, ball) -> None:
     assert ((blue > red + 0.2).sum()) > 100
     assert ((red > blue + 0.2).sum()) > 100
     assert ((red < 0.1) & (green < 0.1) & (blue < 0.1)).sum() > 100
+
+
+def test_a_slice_stands_in_the_middle_and_says_what_it_shows(tmp_path: Path, ball) -> None:
+    target = render.slice(tmp_path / "slice.png", gradient_field(ball), size=SIZE)
+    ink = np.flatnonzero((pixels(target)[..., :3] < 0.9).any(axis=(0, 2)))
+    assert abs(ink[0] - (SIZE[0] - 1 - ink[-1])) < 20
+    text = render.slice(tmp_path / "slice.svg", gradient_field(ball), size=SIZE).read_text()
+    assert f"<!-- |{ball.info.name}| -->" in text
 
 
 def test_slice_refuses(tmp_path: Path, ball) -> None:

@@ -29,7 +29,5 @@ def mesh_sweeps(device: Any = "cpu") -> list[Sweep]:
         >>> sweep = mesh_sweeps()[0]
         >>> sweep.name, bool(sweep.ask(1e8).errors.max() <= sweep.envelope.error)
         ('closest_point_origin', True)
-
-    Held by: tests/accuracy/stability/test_mesh_sweeps.py
     """
     return [*distance_sweeps(device), *sign_sweeps(device), *ray_sweeps(device), *repair_sweeps(device)]

@@ -2,8 +2,6 @@
 
 A row's answer does not depend on the other rows, so it has the bits that one device gives. The caller's current CUDA
 device is after a call what it was before.
-
-Held by: tests/core/blocks/test_several_devices.py
 """
 
 from __future__ import annotations

@@ -2,8 +2,6 @@
 
 Rows on the host are dealt in blocks to whichever device is ready. Rows in arrays of one device are divided: that device
 answers its part in one call; others get fewer, in pieces, where copies take a good part of the time.
-
-Held by: tests/core/blocks/test_several_devices.py
 """
 
 from __future__ import annotations

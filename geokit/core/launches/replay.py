@@ -67,8 +67,6 @@ def replayed(rows: int = 1) -> Callable[[Callable[_Arguments, _Answer]], Callabl
             with it, and when it is cleared.
     Returns:
         The decorator.
-
-    Held by: tests/core/launches/test_replay.py, tests/core/launches/test_replay_property.py
     """
 
     def decorate(query: Callable[_Arguments, _Answer]) -> Callable[_Arguments, _Answer]:

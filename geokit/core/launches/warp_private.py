@@ -3,8 +3,6 @@
 All of it but the tape makes small calls faster or checks the kernel cache; with ``wp.launch`` and ``wp.load_module``
 alone the answers are the same. Without the tape, queries with gradients are refused while one records. ``missing()``
 says what the installed warp lacks, and the test prints it.
-
-Held by: tests/core/launches/test_warp_private.py
 """
 
 from __future__ import annotations

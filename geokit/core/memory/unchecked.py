@@ -35,8 +35,6 @@ class allocating:
         fatal: Whether the call does damage without the memory: it is always asked for then.
     Raises:
         RuntimeError: There is not that much, in the words of warp's own allocations.
-
-    Held by: tests/core/memory/test_unchecked.py
     """
 
     def __init__(self, device: "wp.Device", size: int, *, fatal: bool = False) -> None:

@@ -40,8 +40,6 @@ def placed(
         moved: Fields of the answer that are points.
         turned: Fields of the answer that are directions; where it has no fields, the name of it all.
         check: Called beside a transform with the surface or volume and the query's options, to refuse some.
-
-    Held by: tests/core/poses/test_placed.py
     """
 
     def decorate(query: Callable[_Arguments, _Answer]) -> Callable[_Arguments, _Answer]:

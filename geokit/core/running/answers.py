@@ -12,8 +12,6 @@ def take_stdout() -> TextIO:
     """The standard output for answers alone, line by line.
 
     From here on what Python and libraries print goes to the standard error: it must not come between the answers.
-
-    Held by: tests/core/running/test_answers.py
     """
     answers = os.fdopen(os.dup(1), "w", buffering=1, encoding="utf-8")
     os.dup2(2, 1)

@@ -25,8 +25,6 @@ def signals_held() -> Iterator[None]:
     """Let handlers of signals wait until the end of the block, which is short.
 
     Threads other than the main one run no handlers, so nothing is done there.
-
-    Held by: tests/core/running/test_interrupts.py
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -68,8 +66,6 @@ def child_process(command: Sequence[str | bytes], **options: Any) -> Iterator[su
         options: The same.
     Raises:
         OSError: It cannot be started.
-
-    Held by: tests/core/running/test_interrupts.py
     """
     started: list[subprocess.Popen[bytes]] = []
     try:

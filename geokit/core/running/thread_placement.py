@@ -50,8 +50,6 @@ class Pool:
     Args:
         count: Most threads.
         name: What their names begin with.
-
-    Held by: tests/core/running/test_thread_placement.py
     """
 
     def __init__(self, count: int, name: str) -> None:

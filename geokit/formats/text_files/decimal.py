@@ -25,8 +25,6 @@ def plain_rows(data: bytes, start: int, stop: int) -> NDArray[np.float64] | None
     Plain text has decimal numbers and ``nan``, equally many in each line, separated by commas, semicolons or white
     space. A comment, another word or an incomplete line anywhere makes it not plain. The result is also None if geokit
     was built without a compiler.
-
-    Held by: tests/formats/text_files/test_decimal_property.py
     """
     if stop - start < SMALLEST:
         return None

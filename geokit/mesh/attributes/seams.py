@@ -25,8 +25,6 @@ def split_seams(mesh: TriangleMesh, names: Collection[str]) -> TriangleMesh:
     Args:
         mesh: The mesh.
         names: Names in its ``corner_data``; an attribute of vertices with such a name is replaced.
-
-    Held by: tests/mesh/attributes/test_seams_property.py
     """
     if not names:
         return mesh

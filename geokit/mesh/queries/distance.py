@@ -80,8 +80,6 @@ class DistanceQueries(OverlapQueries):
             >>> high = gk.mesh.Surface(gk.mesh.box(size=(8, 8, 1), center=(0, 0, 5)), device="cpu")
             >>> round(low.distance(high).distance, 9)
             3.5
-
-        Held by: tests/mesh/queries/test_distance.py, tests/mesh/queries/test_distance_property.py
         """
         import warp as wp
 

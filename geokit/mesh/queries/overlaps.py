@@ -71,8 +71,6 @@ class OverlapQueries:
             >>> surface = gk.mesh.Surface(triangle, device="cpu")
             >>> surface.overlapping([[0, 0, 0], [0.8, 0.8, 0]], [[0.1, 0.1, 0], [1, 1, 0]]).offsets
             array([0, 1, 1])
-
-        Held by: tests/mesh/queries/test_overlaps.py
         """
         import warp as wp
 
@@ -121,8 +119,6 @@ class OverlapQueries:
         Source:
             Shewchuk, "Adaptive Precision Floating-Point Arithmetic and Fast Robust Geometric Predicates" (1997);
             Guigue, Devillers, "Fast and Robust Triangle-Triangle Overlap Test Using Orientation Predicates" (2003).
-
-        Held by: tests/mesh/queries/test_overlaps.py, tests/mesh/queries/test_intersections_property.py
         """
         other = require_surface(self, other)
         require_one_world(surface=self.mesh, other=other.mesh)
@@ -143,8 +139,6 @@ class OverlapQueries:
             DeviceMemoryError: There are more pairs than the device can hold.
         Source:
             Shewchuk (1997) and Guigue, Devillers (2003), as for :meth:`intersecting_triangles`.
-
-        Held by: tests/mesh/queries/test_overlaps.py, tests/mesh/queries/test_intersections_property.py
         """
         return self._pairs(self)
 

@@ -110,8 +110,6 @@ class PointQueries:
             >>> surface = gk.mesh.Surface(triangle, device="cpu")
             >>> surface.closest_point([[0.25, 0.25, 2.0]]).distance
             array([2.])
-
-        Held by: tests/mesh/queries/test_closest_point_property.py, tests/accuracy/stability/test_envelopes.py
         """
 
         reach = checked_radius(max_distance)
@@ -159,8 +157,6 @@ class PointQueries:
             ...     vertex_data={"heat": [0.0, 8.0, 4.0]})
             >>> gk.mesh.Surface(heat, device="cpu").sample_attributes([[0.25, 0.25, 2.0]])["heat"]
             array([3.])
-
-        Held by: tests/mesh/attributes/test_transfer.py
         """
         asked = chosen_names(self.mesh, names)
         require_unrecorded(points, "points")
@@ -190,8 +186,6 @@ class PointQueries:
             FurthestPoints with points (N, 3) [world], distance (N,) [world], triangle_id (N,).
         Raises:
             InputError: points is not (N, 3) or not finite, or the transform is not rigid (to 1e-6).
-
-        Held by: tests/mesh/test_surface.py, tests/core/poses/test_placed.py
         """
         import warp as wp
 

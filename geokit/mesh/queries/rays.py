@@ -127,9 +127,6 @@ class RayQueries:
             >>> surface = gk.mesh.Surface(triangle, device="cpu")
             >>> surface.raycast([[0.25, 0.25, 2.0]], [[0, 0, -1]]).t
             array([2.])
-
-        Held by: tests/mesh/queries/test_ray_leaks_stability.py, tests/mesh/queries/test_raycast_property.py,
-        tests/mesh/bvh/test_bvh8_ray_leaves_property.py, tests/accuracy/stability/test_envelopes.py
         """
         import warp as wp
 
@@ -190,9 +187,6 @@ class RayQueries:
                 or the mesh is smaller than 1e-70 or larger than 1e70.
         Source:
             Edelsbrunner, Mücke, "Simulation of Simplicity" (1990), for rays through edges and vertices.
-
-        Held by: tests/mesh/queries/test_rays.py, tests/mesh/queries/test_crossings_property.py,
-        tests/accuracy/stability/test_envelopes.py
         """
         import warp as wp
 
@@ -238,8 +232,6 @@ class RayQueries:
             int (N,).
         Raises:
             InputError: The same conditions as for :meth:`raycast`.
-
-        Held by: tests/mesh/queries/test_rays.py, tests/mesh/queries/test_crossings_property.py
         """
 
         def query(rays: user_arrays.Batch, heading: user_arrays.Batch) -> Any:
@@ -277,8 +269,6 @@ class RayQueries:
             bool (N,).
         Raises:
             InputError: The same conditions as for :meth:`raycast`.
-
-        Held by: tests/mesh/test_surface.py, tests/mesh/queries/test_rays.py
         """
         import warp as wp
 

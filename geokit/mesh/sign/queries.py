@@ -138,10 +138,6 @@ class SignQueries(PointQueries):
             >>> surface = gk.mesh.Surface(bracket, device="cpu")
             >>> surface.signed_distance(bracket.bounds[1:] + [[0, 0, 1]]).distance > 0
             array([ True])
-
-        Held by: tests/mesh/sign/test_queries.py, tests/mesh/sign/test_left_out.py,
-        tests/mesh/sign/test_open_sheets.py, tests/mesh/sign/test_sign_stability.py,
-        tests/accuracy/stability/test_envelopes.py
         """
         method, reach = self._method(sign), checked_radius(max_distance)
         require_measurable(self.mesh, self._frame)
@@ -185,8 +181,6 @@ class SignQueries(PointQueries):
         Raises:
             InputError: points is not (N, 3) or not finite, there is no such sign, or the transform is not rigid (to
                 1e-6) or is given beside tensors with gradients.
-
-        Held by: tests/mesh/sign/test_queries.py
         """
         import warp as wp
 
@@ -254,9 +248,6 @@ class SignQueries(PointQueries):
         Source:
             Barill et al., "Fast Winding Numbers for Soups and Clouds" (2018). Differs: on a CPU harmonic moments of
             three orders and exact solid angles nearby, in float64 next to triangles.
-
-        Held by: tests/mesh/sign/test_sign_stability.py, tests/mesh/sign/test_winding_as_given.py,
-        tests/mesh/bvh/test_winding_numbers.py
         """
 
         require_flag(as_given, "as_given")
@@ -312,8 +303,6 @@ class SignQueries(PointQueries):
         is proven clean if every edge joins two faces with the same winding (flipped where ``orientation`` says
         so), the faces around each vertex form one fan, no face is without area, a duplicate, or intersects another one,
         and nested components are cavities. Computed at the first access.
-
-        Held by: tests/mesh/sign/test_choice.py, tests/mesh/sign/test_open_sheets.py
         """
         return self._sign_choice.method
 

@@ -77,8 +77,6 @@ def audit_file(
         >>> gk.mesh.save("ball.ply", gk.mesh.sphere())
         >>> gk.mesh.audit_file("ball.ply").watertight
         True
-
-    Held by: tests/mesh/streamed/test_audit_file.py
     """
     path = require_path(path)
     memory = max(working_memory(memory_limit) - BYTES_AT_A_TIME, BYTES_AT_A_TIME)

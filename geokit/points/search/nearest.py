@@ -85,8 +85,6 @@ def nearest(
         distance (Q, k) float64 [world], inf where there are fewer points, and indices (Q, k) int32, -1 there.
     Raises:
         DeviceMemoryError: The results do not fit in memory; nothing has been allocated for them.
-
-    Held by: tests/points/search/test_nearest_property.py, tests/points/search/test_nearest_envelope.py
     """
     import warp as wp
 

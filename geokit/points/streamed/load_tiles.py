@@ -83,8 +83,6 @@ def load_tiles(
         >>> for tile in gk.points.load_tiles("scan.ply", halo=1.0):
         ...     print(tile.indices[tile.own].tolist())
         [0, 1, 2]
-
-    Held by: tests/points/streamed/test_load_tiles.py
     """
     path = require_path(path)
     reach = longest_reach(require_finite_scalar(halo, "halo", low=0.0))

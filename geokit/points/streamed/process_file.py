@@ -128,8 +128,6 @@ def process_file(
         >>> gk.points.save("scan.ply", gk.points.sample(gk.mesh.sphere(), 5000))
         >>> gk.points.process_file("scan.ply", "thin.ply", voxel_size=0.1, normals={"k": 12}, device="cpu").read_count
         5000
-
-    Held by: tests/points/streamed/test_process_file.py, tests/points/streamed/test_process_file_property.py
     """
     path, target = require_path(path), require_path(out, "out")
     require_extension(target, KINDS, "streamed point")

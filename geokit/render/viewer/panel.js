@@ -75,7 +75,8 @@ function factsOf(object) {
     return `mesh: ${many(object.vertices.length / 3)} vertices, ${many(object.faces.length / 3)} triangles`;
   if (object.kind === "cloud") return `cloud: ${many(object.vertices.length / 3)} points`;
   const active = object.active === null ? "" : `, ${many(object.active)} active voxels`;
-  return `${object.isLevelSet ? "level set" : "volume"}: ${object.size.join(" x ")}${active}`;
+  const grid = object.grid && object.grid !== object.name ? ` ${object.grid}` : "";
+  return `${object.isLevelSet ? "level set" : "volume"}${grid}: ${object.size.join(" x ")}${active}`;
 }
 
 function mapRows(object, scene, changed) {

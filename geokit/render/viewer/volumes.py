@@ -50,6 +50,7 @@ def volume_record(
     return {
         "kind": "volume",
         "name": name,
+        "grid": volume.info.name.encode("utf-8", "replace").decode(),
         "class": "level set" if is_level_set else "fog",
         # The first axis varies fastest in a texture.
         "values": arrays.add(half.T.view(np.uint16)),
@@ -91,9 +92,7 @@ def _factor(size: NDArray[np.int64], max_voxels: int) -> float:
 def _dense(volume: SparseVolume, bounds: NDArray[np.int64], device: Any) -> _Box:
     # A voxel around the active ones, so that surfaces close and fog fades out.
     grid = to_dense(volume, bounds=bounds + np.array([[-1], [1]]), device=device)
-    transform = grid.transform.copy()
-    transform[:3, 3] += transform[:3, :3] @ grid.origin
-    return _Box(_scalars(grid.values), transform, 1.0)
+    return _Box(_scalars(grid.values), grid.array_transform, 1.0)
 
 
 def _sampled(volume: SparseVolume, bounds: NDArray[np.int64], factor: float, device: Any) -> _Box:

@@ -2,8 +2,6 @@
 
 Faces of a surface belong to crossings between two voxels beside each other of which one is active, so what touches a
 tile at an edge or a corner alone does not matter.
-
-Held by: tests/volume/isosurface/test_large_tiles.py
 """
 
 from __future__ import annotations

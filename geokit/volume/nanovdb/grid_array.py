@@ -1,8 +1,6 @@
 """Grids in the memory of devices, also larger than an array of warp, which counts its items in 31 bits.
 
 Of a larger grid the array shows the first 2^31 - 1 bytes. Kernels take its address, and offsets of 64 bits.
-
-Held by: tests/volume/nanovdb/test_grid_array.py
 """
 
 from __future__ import annotations

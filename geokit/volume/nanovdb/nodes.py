@@ -5,8 +5,6 @@ in its buffer, in any order of their positions.
 
 Source:
     NanoVDB (Museth 2021), NanoVDB.h 32.4 and 32.8.
-
-Held by: tests/volume/nanovdb/test_nodes.py
 """
 
 from __future__ import annotations

@@ -107,8 +107,6 @@ def from_mesh_file(
         >>> gk.mesh.save("ball.ply", gk.mesh.sphere())
         >>> gk.volume.from_mesh_file("ball.ply", "ball.nvdb", 0.05, device="cpu").grid_class
         'level set'
-
-    Held by: tests/volume/streamed/test_from_mesh_file.py, tests/volume/streamed/test_crossings_property.py
     """
     path, target = require_path(path), require_path(out, "out")
     require_extension(target, (".nvdb",), "streamed volume")

@@ -1,7 +1,4 @@
-"""What a grid holds, counted once from its masks, and what operations on it need at least: refused before they start.
-
-Held by: tests/volume/tree/test_estimates.py
-"""
+"""What a grid holds, counted once from its masks, and what operations on it need at least, asked before they start."""
 
 from __future__ import annotations
 

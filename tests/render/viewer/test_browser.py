@@ -229,6 +229,14 @@ def test_rotated_voxels(shown: Callable[..., Shown]) -> None:
     assert float(found["value"]) == pytest.approx(100.0, abs=0.06)
 
 
+def test_a_panel_names_the_grid_of_a_file(shown: Callable[..., Shown]) -> None:
+    ball = gk.volume.from_mesh(BALL, 0.1)
+    named = gk.volume.from_dense(np.ones((3, 3, 3)), name="<b>density")
+    page = shown(ball, named, names=["ball.vdb", "smoke.vdb"])
+    facts = page.browser.run("return [...document.querySelectorAll('.facts')].map(p => p.textContent)")
+    assert [text.partition(":")[0] for text in facts] == [f"level set {ball.info.name}".strip(), "volume <b>density"]
+
+
 def test_fog_and_what_stands_in_it(shown: Callable[..., Shown]) -> None:
     at = np.stack(np.meshgrid(*[np.linspace(-1.0, 1.0, 41)] * 3, indexing="ij"), axis=-1)
     puff = np.clip(1.0 - np.linalg.norm(at, axis=-1), 0.0, None)
