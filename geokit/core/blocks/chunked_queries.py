@@ -16,7 +16,7 @@ from geokit.core.require import require_callable
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["Progress", "in_chunks"]
+__all__ = ["Progress", "in_chunks", "in_percent"]
 
 # Called with the number of queries answered so far and the total number.
 Progress = Callable[[int, int], None]
@@ -28,6 +28,22 @@ FEWEST_ROWS = 1 << 14
 BYTES_PER_ROW = 256
 # Share of the free memory that a chunk may take.
 SHARE = 0.25
+
+
+def in_percent(progress: Progress | None, first: int = 0, last: int = 100) -> Callable[[float], None]:
+    """What to call with the part of some work that is done, from 0 to 1; ``progress`` gets percents of the whole.
+
+    Raises:
+        InputError: progress is not callable.
+    """
+    if progress is not None:
+        require_callable(progress, "progress")
+
+    def report(done: float) -> None:
+        if progress is not None:
+            progress(int(first + (last - first) * min(done, 1.0)), 100)
+
+    return report
 
 
 def in_chunks(

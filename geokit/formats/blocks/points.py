@@ -15,14 +15,13 @@ from geokit._warn import warn
 from geokit.core.files import named_damage, refuse_empty, require_extension, require_file
 from geokit.errors import FileFormatError, InputError
 from geokit.formats import las, ply
+from geokit.formats.blocks.records import rows_at_a_time
 from geokit.formats.blocks.triangles import LONGEST_HEADER
 from geokit.formats.columns import Columns, joined
 
-__all__ = ["KINDS", "PointFile", "PointFileWriter", "open_points", "rows_at_a_time"]
+__all__ = ["KINDS", "Block", "PointFile", "PointFileWriter", "open_points"]
 
 KINDS = (".las", ".laz", ".ply")
-# Largest block: it is held several times while it is converted.
-BLOCK_BYTES = 12 << 20
 
 Block = tuple[NDArray[np.float64], Columns]
 
@@ -66,11 +65,6 @@ class PointFile:
                         "it, or leave out all such points with finite_only=True"
                     )
                 first += len(points)
-
-
-def rows_at_a_time(rows: int, width: int) -> int:
-    """So many rows, or fewer if they are wide."""
-    return max(1, min(rows, BLOCK_BYTES // max(width, 1)))
 
 
 def open_points(path: Path) -> PointFile:

@@ -9,19 +9,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core.blocks.chunked_queries import Progress
+from geokit.core.blocks.chunked_queries import Progress, in_percent
 from geokit.core.content_limit import working_memory
 from geokit.core.equal_rows import merge_equal_points, repeated_triples
 from geokit.core.files import require_room
 from geokit.core.memory.needs import needs
-from geokit.core.private_folder import private_folder
-from geokit.core.require import require_callable, require_path
-from geokit.errors import FileAccessError
+from geokit.core.require import require_path
 from geokit.formats.blocks.boxes import Boxes
+from geokit.formats.blocks.records import AT_A_TIME, BYTES_AT_A_TIME, work_folder
 from geokit.formats.blocks.triangles import TriangleFile, open_triangles
 from geokit.mesh._model import TriangleMesh
 from geokit.mesh.streamed.order_statistics import OrderStatistics
-from geokit.mesh.streamed.tiles import AT_A_TIME, Tiles, survey
+from geokit.mesh.streamed.tiles import Tiles, survey_triangles
 from geokit.mesh.topology.audit import (
     ASPECT_QUANTILES,
     MeshAudit,
@@ -36,8 +35,8 @@ from geokit.mesh.topology.measures import measure_faces
 
 __all__ = ["audit_file"]
 
-# Memory for each triangle of a part, and for what is read and sorted at a time.
-BYTES_PER_TRIANGLE, BYTES_AT_A_TIME = 700, 64 << 20
+# Memory for each triangle of a part.
+BYTES_PER_TRIANGLE = 700
 # Parts of the work: the first pass, sorting, the audit of the parts.
 SURVEYED, SORTED = 0.15, 0.5
 
@@ -81,39 +80,27 @@ def audit_file(
     path = require_path(path)
     memory = max(working_memory(memory_limit) - BYTES_AT_A_TIME, BYTES_AT_A_TIME)
     place = path.parent if folder is None else require_path(folder, "folder")
-    if progress is not None:
-        require_callable(progress, "progress")
-
-    def report(done: float) -> None:
-        if progress is not None:
-            progress(int(100.0 * min(done, 1.0)), 100)
-
+    report = in_percent(progress)
     source = open_triangles(path)
     if source.count == 0:
         empty = TriangleMesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
         return audit_topology(empty, mesh_topology(empty))
-    bounds, sample = survey(source)
+    known = survey_triangles(source)
+    bounds = np.stack([known.lower, known.upper])
     report(SURVEYED)
-    boxes = Boxes(sample, -(-source.count * BYTES_PER_TRIANGLE // memory))
+    boxes = Boxes(known.sample, -(-source.count * BYTES_PER_TRIANGLE // memory))
     bytes_on_disk = source.count * (9 * source.dtype.itemsize + 16)
     require_room(place / path.name, bytes_on_disk, "the temporary files of its audit", "give another folder")
-    try:
-        with private_folder(place) as private:
-            tiles, done = Tiles(boxes, private, source.dtype), 0
-            for count in tiles.add(source.blocks(AT_A_TIME)):
-                done += count
-                report(SURVEYED + (SORTED - SURVEYED) * done / source.count)
-            sums = _Sums(tiles, bounds, private / "aspects")
-            for tile in range(tiles.count):
-                sums.add(tile)
-                report(SORTED + (1.0 - SORTED) * (tile + 1) / tiles.count)
-            return sums.audit(source)
-    except OSError as error:
-        if isinstance(error, FileAccessError):
-            raise
-        raise FileAccessError(
-            f"{place}: cannot write there ({error.strerror or error}); name another folder"
-        ) from error
+    with work_folder(place) as private:
+        tiles, done = Tiles(boxes, private, source.dtype), 0
+        for count in tiles.add(source.blocks(AT_A_TIME)):
+            done += count
+            report(SURVEYED + (SORTED - SURVEYED) * done / source.count)
+        sums = _Sums(tiles, bounds, private / "aspects")
+        for tile in range(tiles.count):
+            sums.add(tile)
+            report(SORTED + (1.0 - SORTED) * (tile + 1) / tiles.count)
+        return sums.audit(source)
 
 
 class _Sums:

@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 from geokit.core.content_limit import working_memory
 from geokit.core.files import require_room
 from geokit.core.memory.needs import needs
-from geokit.core.private_folder import private_folder
 from geokit.core.require import require_flag, require_path
 from geokit.core.user_arrays import require_finite_scalar
-from geokit.errors import FileAccessError
 from geokit.formats.blocks.points import PointFile, open_points
+from geokit.formats.blocks.records import AT_A_TIME, BYTES_AT_A_TIME, work_folder
 from geokit.points.streamed.columns import Around, longest_reach, smaller
-from geokit.points.streamed.records import AT_A_TIME, BYTES_AT_A_TIME, survey
+from geokit.points.streamed.records import known_of
 from geokit.points.streamed.tiles import MOST_POINTS, OWN_SHARE, ROW, Tiles
 
 __all__ = ["PointTile", "load_tiles"]
@@ -93,27 +92,20 @@ def load_tiles(
 
 
 def _tiles(source: PointFile, reach: float, finite_only: bool, most: int, where: Path) -> Iterator[PointTile]:
-    try:
-        with private_folder(where) as folder:
-            tiles = _sorted(source, finite_only, most, where, folder)
-            for number in range(len(tiles)):
-                # Parts of a tile that still wait, the next one last.
-                parts = [tiles.own(number)]
-                while parts:
-                    tile = _with_halo(tiles, parts, reach, most)
-                    if tile is not None:
-                        yield tile
-    except OSError as error:
-        if isinstance(error, FileAccessError):
-            raise
-        raise FileAccessError(
-            f"{where}: cannot write there ({error.strerror or error}); name another folder"
-        ) from error
+    with work_folder(where) as folder:
+        tiles = _sorted(source, finite_only, most, where, folder)
+        for number in range(len(tiles)):
+            # Parts of a tile that still wait, the next one last.
+            parts = [tiles.own(number)]
+            while parts:
+                tile = _with_halo(tiles, parts, reach, most)
+                if tile is not None:
+                    yield tile
 
 
 @needs(name="load_tiles")
 def _sorted(source: PointFile, finite_only: bool, most: int, where: Path, folder: Path) -> Tiles:
-    known = survey(source.blocks(AT_A_TIME, finite_only=finite_only), source.count)
+    known = known_of(source.blocks(AT_A_TIME, finite_only=finite_only), source.count)
     require_room(where / source.path.name, known.count * ROW.itemsize, "its sorted points", "name another folder")
     blocks = source.blocks(AT_A_TIME, finite_only=finite_only)
     return Tiles(blocks, known, max(int(OWN_SHARE * most), 1), folder)

@@ -4,34 +4,34 @@ from __future__ import annotations
 
 import functools
 import inspect
+import itertools
 import os
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geokit.core import launcher
-from geokit.core.blocks.chunked_queries import Progress
-from geokit.core.content_limit import working_memory
+from geokit.core.blocks.chunked_queries import Progress, in_percent
 from geokit.core.files import atomic_path, require_extension, require_room
 from geokit.core.interop.types import Device
 from geokit.core.memory.available_memory import available
 from geokit.core.memory.needs import needs
 from geokit.core.private_folder import private_folder
-from geokit.core.require import require_callable, require_flag, require_mapping, require_path
+from geokit.core.require import require_flag, require_mapping, require_path
 from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
-from geokit.formats.blocks.points import KINDS, PointFile, PointFileWriter, open_points
-from geokit.formats.blocks.workers import TASK_MEMORY, Workers, require_executor
+from geokit.formats.blocks.points import KINDS, Block, PointFile, PointFileWriter, open_points
+from geokit.formats.blocks.records import AT_A_TIME, BYTES_AT_A_TIME, Known
+from geokit.formats.blocks.workers import in_turn, task_memory
 from geokit.formats.columns import Columns
 from geokit.points._density import density as density_of
 from geokit.points._normals import normals as normals_of
-from geokit.points.streamed.answers import TileAnswers, answer_on_worker
+from geokit.points.streamed.answers import TileAnswers
 from geokit.points.streamed.columns import Density, Normals
-from geokit.points.streamed.records import AT_A_TIME, BYTES_AT_A_TIME, Block, Known, survey, type_of
+from geokit.points.streamed.records import blocks_of, known_of, type_of
 from geokit.points.streamed.results import Results
 from geokit.points.streamed.tiles import MOST_POINTS, OWN_SHARE, ROW, Tiles
 from geokit.points.streamed.voxels import Voxels
@@ -134,27 +134,16 @@ def process_file(
     if voxel_size is not None:
         voxel_size = require_finite_scalar(voxel_size, "voxel_size", low=0.0)
     require_flag(finite_only, "finite_only")
-    if progress is not None:
-        require_callable(progress, "progress")
+    ends = 0, SURVEYED, DOWNSAMPLED, COMPUTED, 100
+    surveying, thinning, computing, writing = (in_percent(progress, *part) for part in itertools.pairwise(ends))
     resolved = launcher.resolve_device(device)
-    if executor is not None:
-        require_executor(executor)
-        memory_limit = TASK_MEMORY if memory_limit is None else memory_limit
-    memory = working_memory(memory_limit) - BYTES_AT_A_TIME
+    memory = task_memory(executor, memory_limit) - BYTES_AT_A_TIME
     if resolved.is_cuda:
         memory = min(memory, int(DEVICE_SHARE * available(resolved)))
     work = _Work(normals, density, memory, resolved)
     source = open_points(path)
-
-    def part_of(first: int, last: int) -> Callable[[float], None]:
-        def report(done: float) -> None:
-            if progress is not None:
-                progress(int(first + (last - first) * done), 100)
-
-        return report
-
     with atomic_path(target) as part, private_folder(part.parent) as folder:
-        known = survey(_told(_source(source, finite_only), source.count, part_of(0, SURVEYED)), source.count)
+        known = known_of(_told(_source(source, finite_only), source.count, surveying), source.count)
         read_count, left_out_count = source.count, source.count - known.count
         # What the format cannot hold is refused before the work.
         with PointFileWriter(part, {**known.data, **work.data}, 0, None):
@@ -169,13 +158,12 @@ def process_file(
                 )
         points: Callable[[], Iterator[Block]] = functools.partial(_source, source, finite_only)
         if voxel_size is not None:
-            report = part_of(SURVEYED, DOWNSAMPLED)
-            kept = Voxels(voxel_size, memory, folder, resolved, report).of(points(), known)
-            points, known = kept.blocks, survey(kept.blocks(), kept.count)
-        results = work.done(points(), known, folder, executor, part_of(DOWNSAMPLED, COMPUTED))
+            kept = Voxels(voxel_size, memory, folder, resolved, thinning).of(points(), known)
+            points, known = functools.partial(blocks_of, kept), known_of(blocks_of(kept), kept.count)
+        results = work.done(points(), known, folder, executor, computing)
         limits = (known.lower, known.upper) if known.count else None
         with PointFileWriter(part, {**known.data, **work.data}, known.count, limits, source.system) as file:
-            for some, data in _told(points(), known.count, part_of(COMPUTED, 100)):
+            for some, data in _told(points(), known.count, writing):
                 if len(some):
                     file.write(some, {**data, **results.take(len(some))} if results else data)
     return ProcessedFile(read_count, left_out_count, known.count)
@@ -244,34 +232,16 @@ class _Work:
         """The arrays of all points; None if there are none."""
         if not self._parts:
             return None
-        results = Results(self.data, folder, self._memory // 4)
         most = min(part.most for part in self._parts)
         tiles = Tiles(points, known, max(int(OWN_SHARE * most), 1), folder)
         answers = TileAnswers(tiles, self._parts, self.data)
-        done = 0
-        with closing(_here(answers) if executor is None else _on_workers(executor, answers, folder)) as found:
-            for records in found:
-                results.add(records)
-                done += len(records)
+        results, done = Results(answers.dtype, folder, self._memory // 4, known.count), 0
+        with closing(in_turn(answers, range(len(tiles)), folder, executor)) as found:
+            for _, answer in found:
+                results.add(answer.found)
+                done += len(answer.found)
                 report(done / known.count)
         return results
-
-
-def _here(answers: TileAnswers) -> Generator[NDArray[Any], None, None]:
-    for number in range(len(answers)):
-        yield answers.of(number)
-
-
-def _on_workers(executor: Any, answers: TileAnswers, folder: Path) -> Generator[NDArray[Any], None, None]:
-    """The records of tiles by the workers of an executor, in the order in which they are done."""
-    saved = folder / "answers"
-    answers.save(saved)
-    with Workers(executor, folder.parent) as workers:
-        for number in range(len(answers)):
-            workers.submit(number, answer_on_worker, saved, number, folder)
-        for _, path in workers.results():
-            yield np.fromfile(path, answers.dtype)
-            path.unlink()
 
 
 def _arguments(given: Any, name: str, function: Callable[..., Any], left_out: tuple[str, ...]) -> dict[str, Any]:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.formats.blocks.records import Buckets
 from geokit.formats.columns import Columns
-from geokit.points.streamed.records import append
 
 __all__ = ["Results"]
 
@@ -19,26 +18,22 @@ class Results:
     """Arrays of points by row.
 
     Args:
-        data: The arrays without rows.
+        dtype: Type of the records: "row", and a field for each array.
         folder: Where the files are made.
         memory: Bytes that may be taken.
+        count: Number of points.
     """
 
-    def __init__(self, data: Columns, folder: Path, memory: int) -> None:
-        self._names = list(data)
-        fields = [(name, values.dtype, values.shape[1:]) for name, values in data.items()]
-        self._dtype = np.dtype([("row", np.int64), *fields])
-        self._folder = folder
+    def __init__(self, dtype: np.dtype[Any], folder: Path, memory: int, count: int) -> None:
+        self._dtype = dtype
         # The rows of a file, twice while they are put in order.
-        self._rows = max(memory // (2 * self._dtype.itemsize), 1)
-        self._held, self._first = np.empty(0, self._dtype), 0
+        self._rows = max(memory // (2 * dtype.itemsize), 1)
+        self._buckets = Buckets(folder / "results", dtype, -(-count // self._rows))
+        self._held, self._first = np.empty(0, dtype), 0
 
     def add(self, records: NDArray[Any]) -> None:
-        """Keep arrays of some points, ascending by row."""
-        files = records["row"] // self._rows
-        for number in np.unique(files).tolist():
-            first, last = np.searchsorted(files, [number, number + 1])
-            append(self._path(number), records[first:last])
+        """Keep arrays of some points."""
+        self._buckets.add(records, records["row"] // self._rows)
 
     def take(self, count: int) -> Columns:
         """The arrays of the next points."""
@@ -50,16 +45,11 @@ class Results:
             self._held = self._held[count:]
             count -= len(found[-1])
         whole = np.concatenate([np.empty(0, self._dtype), *found])
-        return {name: whole[name] for name in self._names}
+        return {name: whole[name] for name in self._dtype.names or () if name != "row"}
 
     def _next(self) -> NDArray[np.void]:
-        path = self._path(self._first // self._rows)
-        records = np.fromfile(path, self._dtype)
-        os.unlink(path)
+        records = self._buckets.file(self._first // self._rows).take()
         whole = np.empty_like(records)
         whole[records["row"] - self._first] = records
         self._first += len(records)
         return whole
-
-    def _path(self, number: int) -> Path:
-        return self._folder / f"results-{number}"

@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.formats.blocks.boxes import Boxes
-from geokit.points.streamed.records import Block, Known, RecordFile, append
+from geokit.formats.blocks.points import Block
+from geokit.formats.blocks.records import Buckets, Known, RecordFile, append
+from geokit.points.streamed.records import sample_of
 
 __all__ = ["MOST_POINTS", "OWN_SHARE", "ROW", "Tiles"]
 
@@ -127,31 +129,19 @@ class Tiles:
         if not count:
             return
         boxes = Boxes(sample, min(-(-2 * count // self._most), MOST_PARTS))
-        sizes = np.zeros(boxes.count, np.int64)
-        paths = [self._folder / f"{stem}-{at}" for at in range(boxes.count)]
+        buckets = Buckets(self._folder / stem, ROW, boxes.count)
         for records in parts:
-            box = boxes.of(records["points"])
-            # Stable, so that a file has its points in the order of their rows.
-            order = np.argsort(box, kind="stable")
-            records = records[order]
-            ends = np.cumsum(np.bincount(box, minlength=boxes.count))
-            for at in np.flatnonzero(np.diff(ends, prepend=0)).tolist():
-                first = int(ends[at - 1]) if at else 0
-                append(paths[at], records[first : ends[at]])
-                sizes[at] += ends[at] - first
-        for path, size in zip(paths, sizes.tolist(), strict=True):
-            if not size:
-                continue
-            file = RecordFile(path, ROW, size)
-            if size <= self._most:
+            buckets.add(records, boxes.of(records["points"]))
+        for _, file in buckets.files():
+            if file.count <= self._most:
                 self._tiles.append(self._binned(file))
                 continue
-            some = file.sample(BIN_SAMPLE)
+            some = sample_of(file, BIN_SAMPLE)
             if (some == some[0]).all():
                 self._slice(file)
                 continue
-            self._divide(file.parts(), size, some, path.name)
-            os.unlink(path)
+            self._divide(file.parts(), file.count, some, file.path.name)
+            os.unlink(file.path)
 
     def _slice(self, file: RecordFile) -> None:
         """Make tiles of consecutive rows: of points that a sample finds in one place."""

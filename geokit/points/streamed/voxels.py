@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.formats.blocks.points import Block
+from geokit.formats.blocks.records import Buckets, Known, RecordFile, append
 from geokit.points._downsample import downsample
 from geokit.points.clouds.voxel_centroids import require_resolved
 from geokit.points.clouds.voxel_centroids_kernels import PIECE
-from geokit.points.streamed.records import Block, Known, RecordFile, append, records_of, type_of
+from geokit.points.streamed.records import records_of, sample_of, type_of
 from geokit.points.streamed.tiles import MOST_POINTS
 
 if TYPE_CHECKING:
@@ -24,15 +25,6 @@ __all__ = ["Voxels"]
 
 # Parts that points are divided into at a time, and points of a sample for each.
 MOST_PARTS, PART_SAMPLE = 512, 256
-
-
-@dataclass(frozen=True)
-class _Part:
-    """Points of whole voxels in a file, in their first order, and their box."""
-
-    file: RecordFile
-    lower: NDArray[np.float64]
-    upper: NDArray[np.float64]
 
 
 class Voxels:
@@ -89,34 +81,30 @@ class Voxels:
         cuts = np.unique(np.concatenate([some, some + 1.0, [low[axis] + 1.0]]))
         cuts = cuts[(cuts > low[axis]) & (cuts <= high[axis])]
         number = len(cuts) + 1
-        sizes, lows, highs = np.zeros(number, np.int64), np.full((number, 3), np.inf), np.full((number, 3), -np.inf)
-        paths = [self._folder / f"{stem}-{at}" for at in range(number)]
+        lows, highs = np.full((number, 3), np.inf), np.full((number, 3), -np.inf)
+        buckets = Buckets(self._folder / stem, self._dtype, number)
         for records in parts:
-            place = np.searchsorted(cuts, np.floor(records["points"][:, axis] / self._size), side="right")
-            records = records[np.argsort(place, kind="stable")]
-            ends = np.cumsum(np.bincount(place, minlength=number))
-            for at in np.flatnonzero(np.diff(ends, prepend=0)).tolist():
-                some = records[int(ends[at - 1]) if at else 0 : ends[at]]
-                append(paths[at], some)
-                sizes[at] += len(some)
-                lows[at] = np.minimum(lows[at], some["points"].min(axis=0))
-                highs[at] = np.maximum(highs[at], some["points"].max(axis=0))
-        for at in np.flatnonzero(sizes).tolist():
-            self._make(_Part(RecordFile(paths[at], self._dtype, int(sizes[at])), lows[at], highs[at]))
+            points = records["points"]
+            place = np.searchsorted(cuts, np.floor(points[:, axis] / self._size), side="right")
+            for at, rows in buckets.add(records, place):
+                lows[at] = np.minimum(lows[at], points[rows].min(axis=0))
+                highs[at] = np.maximum(highs[at], points[rows].max(axis=0))
+        for at, file in buckets.files():
+            self._make(file, lows[at], highs[at])
 
-    def _make(self, part: _Part) -> None:
-        file = part.file
+    def _make(self, file: RecordFile, lower: NDArray[np.float64], upper: NDArray[np.float64]) -> None:
+        """Handle points of whole voxels, in their first order, in a box."""
         if file.count <= self._most:
             records = file.read()
             found = downsample(np.ascontiguousarray(records["points"]), voxel_size=self._size, device=self._device)
             kept = records[found.indices]
             kept["points"] = found.points
             self._add(kept)
-        elif (np.floor(part.lower / self._size) == np.floor(part.upper / self._size)).all():
+        elif (np.floor(lower / self._size) == np.floor(upper / self._size)).all():
             self._add(self._centroid(file))
         else:
-            some = file.sample(PART_SAMPLE * MOST_PARTS)
-            self._divide(file.parts(), file.count, some, part.lower, part.upper, file.path.name)
+            some = sample_of(file, PART_SAMPLE * MOST_PARTS)
+            self._divide(file.parts(), file.count, some, lower, upper, file.path.name)
             os.unlink(file.path)
             return
         os.unlink(file.path)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Generator
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -12,8 +12,8 @@ import numpy as np
 
 from geokit.core.private_folder import private_folder
 from geokit.formats.blocks.triangles import TriangleFile
-from geokit.formats.blocks.workers import Workers
-from geokit.volume.streamed.cell_band import CellBand, CellBands, band_on_worker
+from geokit.formats.blocks.workers import in_turn
+from geokit.volume.streamed.cell_band import CellBands
 from geokit.volume.streamed.cells import LOWER_SPAN, Cell, split
 from geokit.volume.streamed.grid_file import GridParts
 from geokit.volume.streamed.survey import Survey
@@ -51,25 +51,21 @@ def write_band(
     with private_folder(path.parent) as folder:
         parts = GridParts(folder, bands.head, signed=bands.signed)
         cells = _first_cells(source, known, bands, folder)
-        total, done, against = sum(cell.count for cell in cells), 0.0, 0
-        made = _here(bands, cells, folder) if executor is None else _on_workers(executor, bands, cells, folder)
+        total, done, against = sum(cell.file.count for cell in cells), 0.0, 0
         # Smaller cells share the work of the one that was split.
-        shares = {cell.path: cell.count / total for cell in cells}
-        with closing(made):
+        shares = {cell.file.path: cell.file.count / total for cell in cells}
+        with closing(in_turn(bands, cells, folder, executor, lambda cell: cell.file.count)) as made:
             for cell, band in made:
-                os.unlink(cell.path)
-                share, against = shares.pop(cell.path), against + band.against
-                if band.cells:
-                    within = sum(part.count for part in band.cells)
-                    shares |= {part.path: share * part.count / within for part in band.cells}
+                os.unlink(cell.file.path)
+                share, against = shares.pop(cell.file.path), against + band.number
+                if band.tasks:
+                    within = sum(part.file.count for part in band.tasks)
+                    shares |= {part.file.path: share * part.file.count / within for part in band.tasks}
                     continue
-                if isinstance(band.grid, Path):
-                    parts.add(np.fromfile(band.grid, np.uint8))
-                    os.unlink(band.grid)
-                elif band.grid is not None:
-                    parts.add(band.grid)
+                if band.found is not None:
+                    parts.add(band.found)
                 done += share
-                report(min(done, 1.0))
+                report(done)
         parts.write(path, metadata)
         return against
 
@@ -85,30 +81,3 @@ def _first_cells(source: TriangleFile, known: Survey, bands: CellBands, folder: 
     # The first point is outside: it lies below the box around the mesh.
     first = low // span * span
     return split(source.blocks(AT_A_TIME), source.dtype, first, span, counts, lattice, bands.winding(0), folder)
-
-
-def _here(bands: CellBands, cells: list[Cell], folder: Path) -> Generator[tuple[Cell, CellBand], None, None]:
-    """Make cells one after the other; the smaller ones of one that is split are next, so that few files wait."""
-    waiting = cells[::-1]
-    while waiting:
-        cell = waiting.pop()
-        band = bands.make(cell, folder)
-        waiting += band.cells[::-1]
-        yield cell, band
-
-
-def _on_workers(
-    executor: Any, bands: CellBands, cells: list[Cell], folder: Path
-) -> Generator[tuple[Cell, CellBand], None, None]:
-    """Make cells on the workers of an executor, in the order in which they are done."""
-    with Workers(executor, folder.parent) as workers:
-
-        def submit(more: list[Cell]) -> None:
-            # The largest first: nobody waits for it at the end.
-            for cell in sorted(more, key=lambda cell: -cell.count):
-                workers.submit(cell, band_on_worker, bands, cell, folder)
-
-        submit(cells)
-        for cell, band in workers.results():
-            submit(band.cells)
-            yield cell, band

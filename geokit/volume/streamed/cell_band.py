@@ -9,49 +9,34 @@ import os
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
 from geokit.errors import DeviceMemoryError
-from geokit.formats.blocks.workers import require_seen
+from geokit.formats.blocks.records import BYTES_AT_A_TIME
+from geokit.formats.blocks.workers import Done
 from geokit.mesh._model import TriangleMesh
 from geokit.mesh._surface import BYTES_PER_FACE, Surface
 from geokit.volume.band.band import BandShape, build_band, make_band
 from geokit.volume.band.tiles import Lattice, near_tiles
 from geokit.volume.nanovdb.nodes import grid_nodes
 from geokit.volume.streamed.cells import LEAF_SPAN, LOWER_SPAN, Cell, CellLattice, smaller, split
-from geokit.volume.streamed.windings import ColumnWindings
+from geokit.volume.streamed.windings import AT_A_TIME, ColumnWindings
 from geokit.volume.tree.device_leaves import build_leaves
 from geokit.volume.tree.grid_head import GridHead
 
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["CellBand", "CellBands", "band_on_worker"]
+__all__ = ["CellBands"]
 
 # Memory for each triangle of a cell, with its tree and winding numbers, and for each leaf, until it is on disk.
 BYTES_PER_TRIANGLE, BYTES_PER_LEAF = BYTES_PER_FACE + 300, 10000
-# Memory for what is read and sorted at a time.
-BYTES_AT_A_TIME = 64 << 20
 # Voxels along an edge of the largest cell that is made at once.
 LARGEST_SPAN = 1024
-
-
-class CellBand(NamedTuple):
-    """What became of a cell.
-
-    Attributes:
-        cells: The cells into which it was split, with files of their own; empty if it was made.
-        grid: Its grid, or the file that holds it; None if it has no leaf, or was split.
-        against: Number of voxels with a negative winding number, of all that were looked at.
-    """
-
-    cells: list[Cell]
-    grid: NDArray[np.uint8] | Path | None
-    against: int
 
 
 @dataclass(frozen=True)
@@ -85,8 +70,11 @@ class CellBands:
         """The winding number, where anybody needs it."""
         return None if self.shape.method == "none" else number
 
-    def make(self, cell: Cell, folder: Path) -> CellBand:
+    def make(self, cell: Cell, folder: Path) -> Done:
         """Make the band of a cell, or split it; its own file stays.
+
+        What is found is its grid, if it has a leaf. The number is that of voxels with a negative winding number, of all
+        that were looked at.
 
         Args:
             cell: Of whole lower nodes, or a part of one.
@@ -95,14 +83,14 @@ class CellBands:
             DeviceMemoryError: A cell of a single leaf needs more memory than may be taken.
         """
         memory = max(self.memory - BYTES_AT_A_TIME, BYTES_AT_A_TIME)
-        need = cell.count * BYTES_PER_TRIANGLE + self._leaves(cell) * BYTES_PER_LEAF
+        need = cell.file.count * BYTES_PER_TRIANGLE + self._leaves(cell) * BYTES_PER_LEAF
         smallest = cell.span == LEAF_SPAN
         if smallest or (need <= memory and cell.span <= LARGEST_SPAN):
-            if smallest and cell.count * BYTES_PER_TRIANGLE > memory:
+            if smallest and cell.file.count * BYTES_PER_TRIANGLE > memory:
                 raise DeviceMemoryError(
-                    f"memory_limit: {cell.count} triangles lie near the 8^3 voxels from {cell.origin.tolist()} on; "
-                    "give more memory or smaller voxels",
-                    need=cell.count * BYTES_PER_TRIANGLE + BYTES_AT_A_TIME,
+                    f"memory_limit: {cell.file.count} triangles lie near the 8^3 voxels from {cell.origin.tolist()} "
+                    "on; give more memory or smaller voxels",
+                    need=cell.file.count * BYTES_PER_TRIANGLE + BYTES_AT_A_TIME,
                 )
             try:
                 return self._band(cell, memory)
@@ -114,9 +102,10 @@ class CellBands:
         place = Path(tempfile.mkdtemp(dir=folder))
         counts = (cell.span // span,) * 3
         winding = self.winding(cell.winding)
-        cells = split(cell.blocks(), cell.dtype, cell.origin, span, counts, self.lattice, winding, place)
+        blocks = cell.file.parts(AT_A_TIME)
+        cells = split(blocks, cell.file.dtype.base, cell.origin, span, counts, self.lattice, winding, place)
         if span >= LOWER_SPAN:
-            return CellBand(cells, None, 0)
+            return Done(None, cells)
         # Only whole lower nodes are parts of the grid; what is smaller is joined.
         return self._joined(cells, folder)
 
@@ -125,8 +114,8 @@ class CellBands:
         width = 2.0 * self.lattice.reach / self.lattice.voxel_size
         return float(min((cell.span // LEAF_SPAN) ** 3, cell.area / 64.0 * (1.5 + width / 8.0)))
 
-    def _band(self, cell: Cell, memory: int) -> CellBand:
-        lattice, corners = self.lattice, cell.corners()
+    def _band(self, cell: Cell, memory: int) -> Done:
+        lattice, corners = self.lattice, cell.file.read()
         windings = None
         if self.shape.method != "none":
             places = lattice.coordinates(cell.origin - 1, 1, (cell.span + 1,) * 3)
@@ -140,46 +129,29 @@ class CellBands:
         within = _LatticeOfCell(surface, cell, lattice, self.shape.hollow, memory)
         tiles = None if within.is_empty else near_tiles(within)
         if tiles is None or len(tiles.keys) == 0:
-            return CellBand([], None, 0)
+            return Done(None)
         band = make_band(within, self.shape, tiles=tiles)
         if len(band.leaves.keys) == 0:
-            return CellBand([], None, surface.against)
+            return Done(None, number=surface.against)
         built = build_band(band, self.head)
-        return CellBand([], built.buffer.numpy() if built.host is None else built.host, surface.against)
+        return Done(built.buffer.numpy() if built.host is None else built.host, number=surface.against)
 
-    def _joined(self, cells: list[Cell], folder: Path) -> CellBand:
+    def _joined(self, cells: list[Cell], folder: Path) -> Done:
         """One grid of the leaves of several cells, which are made one after the other."""
         grids, against = [], 0
         for cell in cells:
             made = self.make(cell, folder)
-            os.unlink(cell.path)
-            against += made.against
-            if isinstance(made.grid, np.ndarray):
-                grids.append(made.grid)
+            os.unlink(cell.file.path)
+            against += made.number
+            if made.found is not None:
+                grids.append(made.found)
         if not grids:
-            return CellBand([], None, against)
+            return Done(None, number=against)
         leaves = [grid_nodes(grid, self.head.layout).leaf for grid in grids]
         origins, values, masks = (
             np.concatenate([getattr(leaf, name) for leaf in leaves]) for name in ("origins", "values", "value_mask")
         )
-        return CellBand([], build_leaves(self.head, origins, values, masks, signed=self.signed), against)
-
-
-def band_on_worker(bands: CellBands, cell: Cell, folder: Path) -> CellBand:
-    """:meth:`CellBands.make` in another process: the grid goes into a file of the folder, which both must see.
-
-    Raises:
-        WorkerError: The folder is not there.
-    """
-    require_seen(cell.path, folder.parent)
-    made = bands.make(cell, folder)
-    if made.grid is None:
-        return made
-    assert isinstance(made.grid, np.ndarray)
-    handle, name = tempfile.mkstemp(dir=folder)
-    with open(handle, "wb") as file:
-        file.write(made.grid.data)
-    return made._replace(grid=Path(name))
+        return Done(build_leaves(self.head, origins, values, masks, signed=self.signed), number=against)
 
 
 class _CellSurface(Surface):

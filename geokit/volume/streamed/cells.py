@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from contextlib import ExitStack
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.formats.blocks.records import Buckets, RecordFile
 from geokit.volume.streamed.crossings import extent
-from geokit.volume.streamed.windings import AT_A_TIME, Coordinates, CornerWindings, in_parts
+from geokit.volume.streamed.windings import Coordinates, CornerWindings, in_parts
 
 __all__ = ["Cell", "CellLattice", "smaller", "split"]
 
@@ -55,31 +56,16 @@ class Cell:
     Attributes:
         origin: Its first voxel, multiples of ``span``, (3,).
         span: Voxels along an edge, a power of two.
-        path: File of the triangles that reach it: nine numbers each.
-        dtype: Their type.
-        count: Their number.
+        file: The triangles that reach it, (3, 3) each.
         area: Area of them [squares of a voxel], of each no more than the cell can hold.
         winding: Winding number at the voxel diagonally before the first one.
     """
 
     origin: NDArray[np.int64]
     span: int
-    path: Path
-    dtype: np.dtype[Any]
-    count: int
+    file: RecordFile
     area: float
     winding: int
-
-    def blocks(self) -> Iterator[NDArray[Any]]:
-        """The triangles (N, 3, 3), some at a time."""
-        for first in range(0, self.count, AT_A_TIME):
-            yield self.corners(first, min(AT_A_TIME, self.count - first))
-
-    def corners(self, first: int = 0, rows: int | None = None) -> NDArray[Any]:
-        """Some triangles, or all."""
-        rows = self.count if rows is None else rows
-        offset = 9 * first * self.dtype.itemsize
-        return np.fromfile(self.path, self.dtype, 9 * rows, offset=offset).reshape(-1, 3, 3)
 
 
 def smaller(span: int) -> int:
@@ -111,45 +97,25 @@ def split(
     """
     size = lattice.voxel_size
     windings = CornerWindings(lattice.coordinates(origin - 1, span, counts), 0 if winding is None else winding)
-    found, areas = np.zeros(counts, np.int64), np.zeros(counts)
+    areas = np.zeros(math.prod(counts))
     # A plane through a cube meets it in at most 1.3 squares of its edge, and the halo adds some.
     largest = 2.0 * (span + 2.0 * (lattice.reach / size + HALO)) ** 2
-    stem = "-".join(map(str, origin.tolist()))
-    paths = {place: folder / f"{span}-{stem}-{'-'.join(map(str, place))}" for place in np.ndindex(counts)}
-    with ExitStack() as stack:
-        files: dict[Any, Any] = {}
-        for block in blocks:
-            corners = block.astype(np.float64)
-            if winding is not None:
-                windings.add(corners)
-            local = (corners - lattice.translation) / size - origin
-            edges = local[:, 1:] - local[:, :1]
-            area = np.minimum(0.5 * np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1), largest)
-            row, cell = _reached(local, span, counts, lattice.reach / size + HALO)
-            order = np.argsort(cell, kind="stable")
-            row, cell = row[order], cell[order]
-            starts = np.flatnonzero(np.diff(cell, prepend=-1)).tolist()
-            for first, stop in zip(starts, [*starts[1:], len(cell)], strict=True):
-                place = tuple(int(k) for k in np.unravel_index(cell[first], counts))
-                if place not in files:
-                    files[place] = stack.enter_context(open(paths[place], "wb"))
-                some = row[first:stop]
-                files[place].write(np.ascontiguousarray(block[some], dtype).data)
-                found[place] += len(some)
-                areas[place] += area[some].sum()
-    numbers = windings.numbers()
+    stem = "-".join(map(str, [span, *origin.tolist()]))
+    buckets = Buckets(folder / stem, np.dtype((dtype, (3, 3))), len(areas))
+    for block in blocks:
+        corners = block.astype(np.float64)
+        if winding is not None:
+            windings.add(corners)
+        local = (corners - lattice.translation) / size - origin
+        edges = local[:, 1:] - local[:, :1]
+        area = np.minimum(0.5 * np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1), largest)
+        row, cell = _reached(local, span, counts, lattice.reach / size + HALO)
+        for at, some in buckets.add(block, cell, row):
+            areas[at] += area[some].sum()
+    numbers = windings.numbers().reshape(-1)
     return [
-        Cell(
-            origin + span * np.array(place, np.int64),
-            span,
-            paths[place],
-            dtype,
-            int(found[place]),
-            float(areas[place]),
-            int(numbers[place]),
-        )
-        for place in np.ndindex(counts)
-        if found[place]
+        Cell(origin + span * np.array(np.unravel_index(at, counts)), span, file, float(areas[at]), int(numbers[at]))
+        for at, file in buckets.files()
     ]
 
 

@@ -10,15 +10,14 @@ import numpy as np
 
 from geokit._warn import warn
 from geokit.core import launcher, user_arrays
-from geokit.core.blocks.chunked_queries import Progress
-from geokit.core.content_limit import working_memory
+from geokit.core.blocks.chunked_queries import Progress, in_percent
 from geokit.core.files import atomic_path, require_extension, require_room
 from geokit.core.interop.types import Device
 from geokit.core.memory.needs import needs
-from geokit.core.require import require_callable, require_choice, require_path, require_text
+from geokit.core.require import require_choice, require_path, require_text
 from geokit.errors import InputError
 from geokit.formats.blocks.triangles import open_triangles
-from geokit.formats.blocks.workers import TASK_MEMORY, require_executor
+from geokit.formats.blocks.workers import task_memory
 from geokit.volume.band.band import BandShape
 from geokit.volume.band.fields import half_widths, in_float32
 from geokit.volume.band.lattice_origin import checked_band, index_translation
@@ -112,17 +111,13 @@ def from_mesh_file(
     require_extension(target, (".nvdb",), "streamed volume")
     require_choice(sign, "sign", SIGNS)
     name = path.stem if name is None else require_text(name, "name")
-    if progress is not None:
-        require_callable(progress, "progress")
+    report = in_percent(progress)
     widths = half_widths(half_width)
     voxel_size, _ = checked_band(voxel_size, max(widths))
     offset = 0.0
     if thickness is not None:
         offset = 0.5 * user_arrays.require_finite_scalar(thickness, "thickness", low=0.0)
-    if executor is not None:
-        require_executor(executor)
-        memory_limit = TASK_MEMORY if memory_limit is None else memory_limit
-    memory = working_memory(memory_limit)
+    memory = task_memory(executor, memory_limit)
     exterior, interior = (in_float32(width * voxel_size) for width in widths)
     # The band calls "parity" what asks for single voxels: here their exact winding numbers.
     unsigned = sign == "none" or offset > 0.0
@@ -156,10 +151,6 @@ def from_mesh_file(
         level_set = not unsigned or offset > 0.0
         inside = -interior if level_set else exterior
         head = checked_head("float", exterior, inside, transform, name, "level set" if level_set else "unknown")
-
-        def report(done: float) -> None:
-            if progress is not None:
-                progress(int(100.0 * done), 100)
 
         bands = CellBands(
             lattice,

@@ -17,7 +17,8 @@ import pytest
 
 import geokit as gk
 from geokit import DeviceMemoryError, FileAccessError, FileFormatError, InputError
-from geokit.formats.blocks.points import BLOCK_BYTES, open_points
+from geokit.formats.blocks.points import open_points
+from geokit.formats.blocks.records import BLOCK_BYTES, RecordFile, append
 from geokit.formats.columns import Columns
 from geokit.points.streamed import columns, process_file, records
 from tests.support.effort import of_all
@@ -349,8 +350,8 @@ def test_records_keep_any_name(tmp_path: Path) -> None:
     """An array called as a field of the records would be lost."""
     points, data = np.ones((3, 3)), {"points": np.arange(3), "data x": np.ones((3, 2))}
     kept = records.records_of(points, data)
-    records.append(tmp_path / "a", kept)
-    found = list(records.RecordFile(tmp_path / "a", kept.dtype, 3).blocks())
+    append(tmp_path / "a", kept)
+    found = list(records.blocks_of(RecordFile(tmp_path / "a", kept.dtype, 3)))
     assert [len(block[0]) for block in found] == [0, 3]
     for name, values in data.items():
         np.testing.assert_array_equal(found[1][1][name], values)

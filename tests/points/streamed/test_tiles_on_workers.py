@@ -58,8 +58,8 @@ def test_the_file_has_the_same_bytes(
 ) -> None:
     done: list[int] = []
     tiles: list[int] = []
-    of = answers.TileAnswers.of
-    monkeypatch.setattr(answers.TileAnswers, "of", lambda self, at: tiles.append(at) or of(self, at))
+    make = answers.TileAnswers.make
+    monkeypatch.setattr(answers.TileAnswers, "make", lambda self, at, where: tiles.append(at) or make(self, at, where))
     with pool(2) as executor:
         found = processed(scan, executor, progress=lambda at, of: done.append(at), **how)
     assert found == processed(scan, **how)
@@ -76,7 +76,7 @@ def test_dask_s_client_is_one(scan: Path) -> None:
 
 @pytest.mark.slow
 def test_a_worker_that_dies_is_named_and_nothing_is_left(scan: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(answers.TileAnswers, "of", lambda *_: os._exit(3))
+    monkeypatch.setattr(answers.TileAnswers, "make", lambda *_: os._exit(3))
     with processes(2) as executor, pytest.raises(WorkerError, match="was not done"):
         processed(scan, executor)
     assert [file.name for file in scan.parent.iterdir()] == [scan.name]

@@ -124,9 +124,8 @@ class Elsewhere(ThreadPoolExecutor):
     """Workers of a machine that does not have the folder."""
 
     def submit(self, function: Any, *given: Any) -> Future[Any]:  # type: ignore[override]
-        bands, cell, folder = given
-        cell = cell_band.Cell(**{**vars(cell), "path": Path("/none") / cell.path.name})
-        return super().submit(function, bands, cell, folder)
+        saved, cell = given
+        return super().submit(function, Path("/none") / saved.name, cell)
 
 
 def test_a_folder_that_workers_do_not_see_and_what_is_no_executor(scan: Path) -> None:
