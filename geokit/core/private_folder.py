@@ -10,6 +10,7 @@ import contextlib
 import fcntl
 import io
 import os
+import re
 import secrets
 import stat
 import tempfile
@@ -23,6 +24,8 @@ from geokit.errors import FileAccessError, InputError
 __all__ = ["make_own", "private_folder", "remove_folder", "temporary_parent"]
 
 PREFIX = ".geokit-"
+# A machine and a number: other folders of the user may begin like that, such as those of a batch.
+OWN_NAME = re.compile(re.escape(PREFIX) + "[0-9a-f]{8}-[0-9a-f]{16}")
 LOCK = "lock"
 # One part in this many of the time may be spent looking for abandoned folders, because folders of many files take long.
 # It is measured as time of the processor, so that a slow disk does not postpone the next look.
@@ -111,11 +114,7 @@ def _make(parent: Path, made: list[_Made]) -> Path:
 
 def _remove(made: list[_Made]) -> None:
     for one in made:
-        try:
-            os.unlink(one.path / LOCK)
-            os.rmdir(one.path)
-        except OSError:
-            remove_folder(one.path)
+        remove_folder(one.path)
         if one.lock is not None:
             one.lock.close()
 
@@ -123,6 +122,7 @@ def _remove(made: list[_Made]) -> None:
 def remove_folder(folder: str | os.PathLike[str]) -> None:
     """Remove what can be removed of a folder, or a link in its place.
 
+    A lock goes last: a private folder without one would never be removed if this process is killed meanwhile.
     shutil.rmtree() may close a descriptor twice where an interrupt comes.
     """
     if os.path.islink(folder):
@@ -130,7 +130,7 @@ def remove_folder(folder: str | os.PathLike[str]) -> None:
             os.unlink(folder)
         return
     for place, folders, files in os.walk(folder, topdown=False):
-        for name in (*files, *folders):
+        for name in sorted((*files, *folders), key=LOCK.__eq__):
             path = os.path.join(place, name)
             with contextlib.suppress(OSError):
                 (os.rmdir if name in folders and not os.path.islink(path) else os.unlink)(path)
@@ -161,10 +161,6 @@ def make_own(folder: Path) -> None:
     raise InputError(f"{folder}: {reason}, so what is in it is not trusted; remove it, or choose another folder")
 
 
-def _open_lock(folder: str | os.PathLike[str]) -> int:
-    return os.open(os.path.join(folder, LOCK), os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
-
-
 def _machine() -> str:
     return f"{zlib.crc32(os.uname().nodename.encode()):08x}"
 
@@ -176,7 +172,7 @@ def _remove_abandoned(parent: Path) -> None:
     started = time.thread_time()
     with contextlib.suppress(OSError), os.scandir(parent) as entries:
         for entry in entries:
-            if entry.name.startswith(PREFIX):
+            if OWN_NAME.fullmatch(entry.name):
                 with contextlib.suppress(OSError):
                     _remove_if_abandoned(entry)
     if len(_next_look) >= _REMEMBERED:
@@ -192,9 +188,14 @@ def _remove_if_abandoned(entry: os.DirEntry[str]) -> None:
         newest = max([found.st_mtime, *(file.stat(follow_symlinks=False).st_mtime for file in os.scandir(entry.path))])
         if time.time() - newest < FOREIGN_SECONDS:
             return
-    lock = _open_lock(entry.path)
+    try:
+        lock = os.open(os.path.join(entry.path, LOCK), os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
+    except FileNotFoundError:
+        os.rmdir(entry.path)  # of a process that was killed before its lock was there, or after; no other is empty
+        return
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        remove_folder(entry.path)
+        if stat.S_ISREG((held := os.fstat(lock)).st_mode) and not held.st_size:
+            remove_folder(entry.path)
     finally:
         os.close(lock)

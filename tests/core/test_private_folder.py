@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from pathlib import Path
 
 import pytest
@@ -20,6 +21,7 @@ from geokit.core import private_folder as module
 from geokit.core.files import atomic_path
 from geokit.core.private_folder import (
     FOREIGN_SECONDS,
+    LOCK,
     PREFIX,
     make_own,
     private_folder,
@@ -76,6 +78,84 @@ def test_the_folder_of_a_killed_process_is_removed_and_that_of_a_living_one_is_n
         assert not held.exists()
 
 
+OWN = f"{PREFIX}00000000-0123456789abcdef"
+
+
+def aged(folder):
+    """Make a folder and all in it two days old."""
+    old = time.time() - 2 * FOREIGN_SECONDS
+    for path in (*folder.rglob("*"), folder):
+        os.utime(path, (old, old))
+
+
+def folder_with(folder, *names):
+    folder.mkdir()
+    for name in names:
+        (folder / name).touch()
+    return folder
+
+
+@pytest.mark.parametrize("machine", ["00000000", None])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "notes",
+        "batch",
+        "batch-3-of-64",
+        "{}-notes",
+        "{}-0123456789abcde",
+        "{}-0123456789abcdef0",
+        "{}-0123456789ABCDEF",
+    ],
+)
+def test_a_folder_that_only_begins_like_an_own_one_stays(tmp_path, name, machine):
+    folder = folder_with(tmp_path / f"{PREFIX}{name.format(machine or module._machine())}", LOCK, "data")
+    aged(folder)
+    with private_folder(tmp_path):
+        pass
+    assert sorted(path.name for path in folder.iterdir()) == ["data", LOCK]
+
+
+@pytest.mark.parametrize("machine", ["00000000", None])
+def test_a_folder_without_the_lock_of_an_own_one_stays(tmp_path, machine):
+    machine = machine or module._machine()
+    kept = [folder_with(tmp_path / f"{PREFIX}{machine}-{i:016x}", "data") for i in range(4)]
+    (kept[1] / LOCK).mkdir()
+    (kept[2] / LOCK).write_text("the lock of something else")
+    (tmp_path / "lock of another").touch()
+    (kept[3] / LOCK).symlink_to(tmp_path / "lock of another")
+    empty = folder_with(tmp_path / f"{PREFIX}{machine}-{9:016x}")
+    for folder in (*kept, empty):
+        aged(folder)
+    with private_folder(tmp_path):
+        pass
+    assert all((folder / "data").exists() for folder in kept)
+    assert not (kept[0] / LOCK).exists()
+    assert not empty.exists()  # its process was killed before it had a lock
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may give a folder to another user")
+def test_a_folder_of_another_user_stays(tmp_path):
+    folder = folder_with(tmp_path / OWN, LOCK)
+    os.chown(folder, 1001, 1001)
+    aged(folder)
+    with private_folder(tmp_path):
+        pass
+    assert folder.exists()
+
+
+def test_the_lock_is_removed_last(tmp_path, monkeypatch):
+    folder = folder_with(tmp_path / OWN, LOCK, "a", "z")
+    folder_with(folder / "sub", "file")
+    gone = []
+    for name in ("unlink", "rmdir"):
+        remove = getattr(os, name)
+        monkeypatch.setattr(os, name, lambda path, remove=remove: (gone.append(os.path.basename(path)), remove(path)))
+    remove_folder(folder)
+    assert sorted(gone[:-2]) == ["a", "file", "sub", "z"]
+    assert gone[-2:] == [LOCK, OWN]
+
+
 def test_only_own_folders_are_touched(tmp_path):
     kept = [tmp_path / ".geokit", tmp_path / ".other-1", tmp_path / f"{PREFIX}file"]
     kept[0].mkdir()
@@ -84,7 +164,8 @@ def test_only_own_folders_are_touched(tmp_path):
     outside = tmp_path / "outside"
     outside.mkdir()
     (outside / "data").write_text("x")
-    (tmp_path / f"{PREFIX}{module._machine()}-link").symlink_to(outside)
+    (outside / LOCK).touch()
+    (tmp_path / f"{PREFIX}{module._machine()}-{0:016x}").symlink_to(outside)
     with private_folder(tmp_path):
         pass
     assert all(path.exists() for path in kept)
@@ -123,15 +204,10 @@ def test_a_folder_that_others_could_have_filled_is_not_taken_for_an_own_one(tmp_
 
 
 def test_another_machine_s_folder_is_removed_only_after_a_day(tmp_path):
-    foreign = tmp_path / f"{PREFIX}00000000-abc"
-    foreign.mkdir()
-    part = foreign / "part"
-    part.write_text("x")
+    foreign = folder_with(tmp_path / OWN, LOCK, "part")
     with private_folder(tmp_path):
-        assert part.exists()
-    old = part.stat().st_mtime - FOREIGN_SECONDS - 10
-    os.utime(part, (old, old))
-    os.utime(foreign, (old, old))
+        assert (foreign / "part").exists()
+    aged(foreign)
     with private_folder(tmp_path):
         assert not foreign.exists()
 
@@ -140,8 +216,7 @@ def test_without_locks_nothing_is_removed(tmp_path, monkeypatch):
     def unsupported(*_):
         raise OSError(errno.ENOLCK, "No locks available")
 
-    left = tmp_path / f"{PREFIX}{module._machine()}-left"
-    left.mkdir()
+    left = folder_with(tmp_path / f"{PREFIX}{module._machine()}-{0:016x}", LOCK)
     monkeypatch.setattr(fcntl, "flock", unsupported)
     with private_folder(tmp_path) as folder:
         assert folder.is_dir()
