@@ -13,7 +13,6 @@ import logging
 import os
 import resource
 import shutil
-import stat
 import tempfile
 import threading
 import time
@@ -26,8 +25,8 @@ from geokit.core.compiled.shipped import Shipped, digest_of
 from geokit.core.launches import warp_private
 from geokit.core.memory.available_memory import available_host
 from geokit.core.memory.needs import is_out_of_memory, require_free
-from geokit.core.private_folder import remove_folder, temporary_parent
-from geokit.errors import DeviceMemoryError, FileAccessError
+from geokit.core.private_folder import OTHERS, distrust, make_own, remove_folder, require_trusted, temporary_parent
+from geokit.errors import DeviceMemoryError, FileAccessError, InputError
 
 if TYPE_CHECKING:
     import warp as wp
@@ -134,6 +133,12 @@ def _load_checked(module: Any, device: "wp.Device", block_dim: int, announce: Ca
         warp_private.load_module(module, device, block_dim)
         return
     binary, meta = files
+    with contextlib.suppress(FileNotFoundError):  # there is nothing to be loaded
+        require_trusted(folder := binary.parent.parent)
+        bits = OTHERS if folder.stat().st_mode & 0o011 else 0  # else nobody gets there, whatever the umask was
+        for place in (binary.parent, *files):
+            if reason := distrust(place.lstat(), bits):
+                raise OSError(errno.EIO, reason, str(place))
     if not binary.exists() and _is_full(binary.parent.parent):
         # LLVM ends the process when it cannot write an object.
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(binary))
@@ -200,7 +205,7 @@ def _cure(module: Any, block_dim: int, error: Exception) -> None:
 
 
 def _is_unusable(folder: Path, error: Exception) -> bool:
-    return (isinstance(error, OSError) and error.errno in UNUSABLE) or _is_full(folder)
+    return isinstance(error, InputError) or getattr(error, "errno", None) in UNUSABLE or _is_full(folder)
 
 
 def _is_full(folder: Path) -> bool:
@@ -246,20 +251,13 @@ def _private_folder(former: Any) -> Path | None:
         try:
             if _is_full(folder.parent):
                 continue
-            folder.mkdir(mode=0o700, exist_ok=True)
-            if _is_private(folder):
+            make_own(folder)
+            require_trusted(folder)
+            if os.access(folder, os.W_OK):
                 return folder
-        except OSError:
+        except (OSError, InputError):
             continue
     return None
-
-
-def _is_private(folder: Path) -> bool:
-    """Whether nobody else could have put code there."""
-    status = folder.lstat()
-    if not stat.S_ISDIR(status.st_mode) or not os.access(folder, os.W_OK):
-        return False
-    return not hasattr(os, "getuid") or (status.st_uid == os.getuid() and not status.st_mode & 0o022)
 
 
 def _first_line(error: Exception) -> str:

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import grp
 import io
 import os
+import pwd
 import re
 import secrets
 import stat
@@ -21,12 +23,13 @@ from pathlib import Path
 
 from geokit.errors import FileAccessError, InputError
 
-__all__ = ["make_own", "private_folder", "remove_folder", "temporary_parent"]
+__all__ = ["distrust", "make_own", "private_folder", "remove_folder", "require_trusted", "temporary_parent"]
 
 PREFIX = ".geokit-"
 # A machine and a number: other folders of the user may begin like that, such as those of a batch.
 OWN_NAME = re.compile(re.escape(PREFIX) + "[0-9a-f]{8}-[0-9a-f]{16}")
 LOCK = "lock"
+OTHERS = stat.S_IWGRP | stat.S_IWOTH
 # One part in this many of the time may be spent looking for abandoned folders, because folders of many files take long.
 # It is measured as time of the processor, so that a slow disk does not postpone the next look.
 LOOKING_SHARE = 20
@@ -147,18 +150,50 @@ def make_own(folder: Path) -> None:
     """
     try:
         os.mkdir(folder, 0o700)
-        return  # some file systems give all that is made another owner or mode
-    except FileExistsError:
+    except FileExistsError:  # else nothing is asked: some file systems give all that is made another owner or mode
         found = os.lstat(folder)
-    if not stat.S_ISDIR(found.st_mode):
         reason = "is a link" if stat.S_ISLNK(found.st_mode) else "is no folder"
-    elif found.st_uid != os.geteuid():
-        reason = "belongs to another user"
-    elif found.st_mode & 0o022:
-        reason = "may be written by other users"
-    else:
-        return
-    raise InputError(f"{folder}: {reason}, so what is in it is not trusted; remove it, or choose another folder")
+        _require(folder, distrust(found) if stat.S_ISDIR(found.st_mode) else reason)
+
+
+def require_trusted(path: Path) -> None:
+    """See that nobody else could have put anything at a path: each folder and link on the way counts.
+
+    Raises:
+        InputError: Somebody could have. On the way, not at its end, the sticky bit makes a folder of all users safe.
+        OSError: There is nothing at the path, or it cannot be looked at.
+    """
+    end, ways = os.stat(path), [path.absolute()]
+    for way in ways:  # what links lead to is added
+        for place in (way, *way.parents):
+            found = os.lstat(place)
+            is_safe = found.st_mode & stat.S_ISVTX and not os.path.samestat(found, end)
+            if stat.S_ISLNK(found.st_mode):
+                ways.append(place.parent / os.readlink(place))
+                is_safe = True
+            _require(place, distrust(found, 0 if is_safe else OTHERS))
+
+
+def distrust(found: os.stat_result, bits: int = OTHERS) -> str:
+    """Why somebody else than this user and root could have filled a folder or written a file; "" if nobody could."""
+    # Whoever owns the top folder is root, also in a container that shows root by another number.
+    if found.st_uid not in (os.geteuid(), os.stat("/").st_uid):
+        return "belongs to another user"
+    writers = found.st_mode & bits
+    return "may be written by other users" if writers and not (writers == 0o020 and _is_alone(found)) else ""
+
+
+def _is_alone(found: os.stat_result) -> bool:
+    """Whether the group is the owner's alone: where each user has one of the same name, folders let it write."""
+    with contextlib.suppress(KeyError):
+        owner, group = pwd.getpwuid(found.st_uid).pw_name, grp.getgrgid(found.st_gid)
+        return group.gr_name == owner and {*group.gr_mem} <= {owner}
+    return False
+
+
+def _require(place: Path, reason: str) -> None:
+    if reason:
+        raise InputError(f"{place}: {reason}, so what is in it is not trusted; remove it, or choose another folder")
 
 
 def _machine() -> str:

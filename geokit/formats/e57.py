@@ -14,6 +14,7 @@ from geokit.core.files import in_one_line
 from geokit.core.memory.row_products import row_product
 from geokit.errors import FileFormatError
 from geokit.formats.columns import Columns
+from geokit.formats.scene_content.gltf_shapes import turn_of
 
 __all__ = ["prepare", "read_points"]
 
@@ -206,12 +207,4 @@ def _pose(scan: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     length = float(np.linalg.norm(quaternion))
     if not length > 0.0:
         raise FileFormatError("the rotation of a scan's pose is zero; export it again")
-    w, x, y, z = quaternion / length
-    turn = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-    return turn, numbers("translation", "xyz", (0.0, 0.0, 0.0))
+    return turn_of(*quaternion / length), numbers("translation", "xyz", (0.0, 0.0, 0.0))

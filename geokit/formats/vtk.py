@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import os
 import re
-import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 
 from geokit._packages import require_package
 from geokit._warn import warn
-from geokit.core.forks import renew_after_fork
+from geokit.core.forks import Lock
 from geokit.errors import FileFormatError
 from geokit.formats.attributes.columns import xml_name
 from geokit.formats.body import Body
@@ -60,18 +59,8 @@ _VOLUME_NAMES = {10: "tetrahedra", 11: "voxels", 12: "hexahedra", 13: "wedges", 
 _LINE_NAMES = {1: "points", 2: "points", 3: "lines", 4: "lines"}
 
 
-class _Window:
-    """VTK's output window, of which there is one for all threads."""
-
-    def __init__(self) -> None:
-        self._after_fork()
-        renew_after_fork(self)
-
-    def _after_fork(self) -> None:
-        self.lock = threading.Lock()
-
-
-_window = _Window()
+# VTK has one output window for all threads.
+_window = Lock()
 
 
 @contextmanager
@@ -108,7 +97,7 @@ def read_mesh(path: Path) -> list[Body]:
     require_package("vtkmodules")
     from vtkmodules.util.numpy_support import vtk_to_numpy
 
-    with _window.lock, _collected() as said:
+    with _window, _collected() as said:
         data = _data_set(path)
     # VTK reports a damaged file only as text and returns what it has read so far.
     message = reported(said)
@@ -358,7 +347,7 @@ def _write(writer: Any, data: Any, path: Path) -> None:
             array.SetName(xml_name(array.GetName()))
     writer.SetInputData(data)
     writer.SetWriteToOutputString(True)
-    with _window.lock, _collected() as said:
+    with _window, _collected() as said:
         written = writer.Write()
     if not written or writer.GetErrorCode():
         raise OSError(f"VTK: {' '.join(said.GetOutput().split())[-200:] or 'no reason given'}")
@@ -392,7 +381,7 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], dict[str, NDArray[np.g
     reader = vtkXMLPolyDataReader()
     name: Any = os.fsencode(path)  # VTK's stubs know text only
     reader.SetFileName(name)
-    with _window.lock, _collected() as said:
+    with _window, _collected() as said:
         reader.Update()
     message = reported(said)
     found = reader.GetOutput()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,7 +9,7 @@ from numpy.typing import NDArray
 
 from geokit.core import launcher
 from geokit.core.download import download
-from geokit.core.forks import renew_after_fork
+from geokit.core.forks import Lock
 from geokit.core.memory.pinned import host_arrays
 from geokit.mesh._model import TriangleMesh
 
@@ -31,15 +30,11 @@ class DeviceArrays:
         faces: Vertex indices, (3 F,) of int32.
     """
 
-    __slots__ = ("__weakref__", "faces", "lock", "vertices")
+    __slots__ = ("faces", "lock", "vertices")
 
     def __init__(self, vertices: "wp.array", faces: "wp.array") -> None:
         self.vertices, self.faces = vertices, faces
-        self._after_fork()
-        renew_after_fork(self)
-
-    def _after_fork(self) -> None:
-        self.lock = threading.Lock()
+        self.lock = Lock()
 
     def download(self) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
         """Vertices (V, 3) and faces (F, 3) on the host."""

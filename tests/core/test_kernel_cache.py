@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -244,6 +245,121 @@ def test_a_folder_that_others_may_write_to_is_not_used(tmp_path):
     (cache.temporary / f"geokit-kernels-{os.getuid()}").chmod(0o777)
     used, _ = cache.run(WARP_CACHE_PATH="/dev/null/cache")
     assert not used.is_relative_to(cache.temporary)
+
+
+USER, OTHER = 1002, 1001
+# Python may lie where only root can read: what it imports late it imports before.
+BECOME = f"""
+import encodings.ascii, os, tempfile, geokit.core.launcher
+geokit.core.launcher.resolve_device("cpu")
+os.setgroups([])
+os.setgid({USER})
+os.setuid({USER})
+"""
+
+
+class Shared(Cache):
+    """A cache in a folder that all users can enter, and processes of one of them that use it."""
+
+    def run(self, before: str = "", **environment: str) -> tuple[Path, str]:
+        headers = str(self.root.parent / "headers")
+        return super().run(BECOME + before, HEADERS=headers, **environment)
+
+    def give(self, owner: int, mode: int) -> None:
+        for path in (self.root, *self.root.rglob("*")):
+            os.chown(path, owner, owner)
+            path.chmod(mode if path.is_dir() else mode & 0o666)
+
+
+@pytest.fixture
+def shared(filled) -> Iterator[Shared]:
+    if os.getuid() != 0:
+        pytest.skip("only root may become another user")
+    with tempfile.TemporaryDirectory(dir="/tmp") as folder:
+        os.chmod(folder, 0o755)
+        cache = Shared(Path(folder))
+        shutil.copytree(filled.root, cache.root)
+        shutil.copytree(Cache.headers, cache.root.parent / "headers")
+        cache.temporary.chmod(0o1777)
+        for path in (cache.root.parent / "headers").rglob("*"):
+            path.chmod(0o755)
+        os.chown(cache.root.parent / "headers", USER, USER)
+        yield cache
+
+
+@pytest.mark.parametrize(
+    ("owner", "mode", "reason"),
+    [
+        (OTHER, 0o755, "belongs to another user"),
+        *of_all(
+            [],
+            [
+                (0, 0o777, "may be written by other users"),
+                (USER, 0o777, "may be written by other users"),
+                (0, 0o1777, "may be written by other users"),
+            ],
+        ),
+    ],
+)
+def test_kernels_that_another_user_could_have_written_are_not_run(shared, owner, mode, reason):
+    shared.give(owner, mode)
+    used, err = shared.run()
+    assert used == shared.temporary / f"geokit-kernels-{USER}"
+    assert len(shared.notices) == 1
+    assert err.count("\n") == 1
+    assert f"{shared.root}" in err
+    assert f"{reason}, so what is in it is not trusted" in err
+    assert "WARP_CACHE_PATH names another folder" in err
+    assert shared.run()[0] == used
+    assert shared.notices == []  # the other folder is kept
+
+
+def test_a_parent_of_the_usual_folder_that_others_may_write_to(shared):
+    # As HOME=/home/all: whoever may write there can put another cache in the place of this one.
+    shared.give(USER, 0o755)
+    shared.root.parent.chmod(0o777)
+    used, err = shared.run(TMPDIR="/tmp")
+    assert not used.is_relative_to(shared.root)
+    assert f"{shared.root.parent}: may be written by other users" in err
+
+
+@pytest.mark.parametrize("owner", [0, USER])
+def test_a_cache_of_root_s_or_of_the_user_s_is_used(shared, owner):
+    shared.give(owner, 0o755)
+    used, err = shared.run()
+    assert used.is_relative_to(shared.root)
+    assert (err, shared.notices) == ("", [])
+
+
+@pytest.mark.parametrize("suffix", [".o", *of_all([], [".meta"])])
+def test_a_file_of_another_user_s_is_compiled_again(shared, suffix):
+    shared.give(USER, 0o755)
+    os.chown(shared.files(suffix)[0], OTHER, OTHER)
+    used, err = shared.run()
+    assert used.is_relative_to(shared.root)
+    assert len(shared.notices) == 1
+    assert err.count("\n") == 1
+    assert "belongs to another user" in err
+    assert "compiled again" in err
+
+
+def test_a_module_of_another_user_s_that_cannot_be_removed(shared):
+    shared.give(USER, 0o755)
+    os.chown(shared.folder, OTHER, OTHER)
+    used, err = shared.run()
+    assert used == shared.temporary / f"geokit-kernels-{USER}"
+    assert err.count("\n") == 1
+    assert f"belongs to another user: '{shared.folder}'" in err
+
+
+def test_an_open_umask_in_a_closed_folder(shared):
+    # Nobody else gets there, so what all may write is trusted, and not compiled anew by each process.
+    shared.give(USER, 0o777)
+    for folder in (shared.root, *shared.root.glob("*")):
+        folder.chmod(0o700)
+    used, err = shared.run()
+    assert used.is_relative_to(shared.root)
+    assert (err, shared.notices) == ("", [])
 
 
 @pytest.mark.usefixtures("filled")  # the headers are compiled

@@ -14,6 +14,7 @@ import tempfile
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -26,9 +27,11 @@ from geokit.core.private_folder import (
     make_own,
     private_folder,
     remove_folder,
+    require_trusted,
     temporary_parent,
 )
 from geokit.errors import FileAccessError, InputError
+from tests.support.forked import forked
 from tests.support.interrupts import interrupted, interrupts
 
 HOLDER = """
@@ -195,12 +198,94 @@ def test_a_folder_that_others_could_have_filled_is_not_taken_for_an_own_one(tmp_
     for name, reason in (("link", "is a link"), ("file", "is no folder")):
         with pytest.raises(InputError, match=rf"{name}: {reason}, .*; remove it"):
             make_own(tmp_path / name)
-    folder.chmod(0o770)
+    folder.chmod(0o777)
     with pytest.raises(InputError, match="may be written by other users"):
         make_own(folder)
-    monkeypatch.setattr(os, "geteuid", lambda: -1)
+    if os.geteuid():
+        monkeypatch.setattr(os, "geteuid", lambda: -1)
+    else:
+        os.chown(folder, 1001, 1001)  # what is root's is trusted
     with pytest.raises(InputError, match="belongs to another user"):
         make_own(folder)
+
+
+@pytest.fixture
+def shared():
+    """A folder that other users can enter, for root to give away."""
+    if os.geteuid():
+        pytest.skip("only root may give a folder to another user")
+    with tempfile.TemporaryDirectory(dir="/tmp") as folder:
+        os.chmod(folder, 0o755)
+        yield Path(folder)
+
+
+def refusal(path, user):
+    """What require_trusted says to a user, in a process of that user."""
+
+    def work():
+        os.setgroups([])
+        os.setgid(user)
+        os.setuid(user)
+        try:
+            require_trusted(path)
+        except InputError as error:
+            return str(error)
+        return ""
+
+    return forked(work, 60.0)[0]
+
+
+def place(path, owner, mode, group=None):
+    path.mkdir()
+    os.chown(path, owner, owner if group is None else group)
+    path.chmod(mode)
+    return path
+
+
+def test_a_place_is_trusted_that_only_root_and_the_user_can_write_to(shared):
+    roots = place(shared / "roots", 0, 0o755)
+    own = place(shared / "own", 1002, 0o755)
+    below = place(own / "below", 1002, 0o700)
+    tmp = place(shared / "tmp", 0, 0o1777)
+    in_tmp = place(tmp / "own", 1002, 0o755)
+    for path in (roots, own, below, in_tmp):
+        assert refusal(path, 1002) == "", path
+    (tmp / "roots link").symlink_to(below)
+    assert refusal(tmp / "roots link", 1002) == ""
+    assert refusal(roots, 0) == refusal(in_tmp, 1002) == ""
+    assert "belongs to another user" in refusal(own, 0)
+
+
+def test_a_place_that_another_user_could_have_filled_is_not_trusted(shared):
+    theirs = place(shared / "theirs", 1001, 0o755)
+    open_to_all = place(shared / "open", 0, 0o777)
+    of_group = place(shared / "group", 1002, 0o775)
+    tmp = place(shared / "tmp", 0, 0o1777)
+    own = place(shared / "own", 1002, 0o755)
+    (tmp / "link").symlink_to(own)
+    os.lchown(tmp / "link", 1001, 1001)
+    (own / "up").symlink_to(open_to_all)
+    expected = {
+        theirs: (theirs, "belongs to another user"),
+        place(theirs / "own", 1002, 0o755): (theirs, "belongs to another user"),
+        open_to_all: (open_to_all, "may be written by other users"),
+        place(open_to_all / "own", 1002, 0o700): (open_to_all, "may be written by other users"),
+        of_group: (of_group, "may be written by other users"),
+        tmp: (tmp, "may be written by other users"),
+        tmp / "link": (tmp / "link", "belongs to another user"),
+        own / "up" / "own": (open_to_all, "may be written by other users"),
+    }
+    for path, (culprit, reason) in expected.items():
+        assert refusal(path, 1002).startswith(f"{culprit}: {reason}, so "), path
+
+
+def test_a_group_of_the_owner_alone_may_write(shared, monkeypatch):
+    folder = place(shared / "folder", 0, 0o775)
+    require_trusted(folder)  # the group root
+    others = SimpleNamespace(gr_name="root", gr_mem=["root", "somebody"])
+    monkeypatch.setattr(module.grp, "getgrgid", lambda _: others)
+    with pytest.raises(InputError, match="may be written by other users"):
+        require_trusted(folder)
 
 
 def test_another_machine_s_folder_is_removed_only_after_a_day(tmp_path):

@@ -22,6 +22,7 @@ from geokit._packages import require_package
 from geokit.core.files import in_one_line
 from geokit.errors import FileFormatError
 from geokit.formats.images.image import Image, affine, grids_of, reading, scaled
+from geokit.formats.references import allowed_folders, require_inside
 
 __all__ = ["open_images"]
 
@@ -67,6 +68,8 @@ def open_images(path: Path, limit: int) -> list[Image]:
     for file in sorted(path.iterdir()) if path.is_dir() else [path]:
         if not file.is_file() or file.name.upper() == "DICOMDIR":
             continue
+        if file != path:  # a link of the folder, in it or in one that is allowed
+            require_inside(file.name, file, path, (path, *allowed_folders(None)))
         with reading(file):
             try:
                 # For itself: of the deflated syntax dcmread decompresses all, to any size.

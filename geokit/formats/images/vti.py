@@ -58,7 +58,7 @@ def read_grids(path: Path, names: list[str]) -> tuple[Any, list[tuple[str, NDArr
         file.seek(max(0, os.fstat(file.fileno()).st_size - TAIL_BYTES))
         if b"</VTKFile>" not in file.read():
             raise FileFormatError(f"{path}: is no whole VTK file (its last tag is missing); get a whole copy")
-    with _window.lock, _collected() as said:
+    with _window, _collected() as said:
         reader: Any = vtkXMLImageDataReader()
         reader.SetFileName(os.fsencode(path))
         reader.Update()

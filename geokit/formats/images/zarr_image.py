@@ -80,7 +80,7 @@ def _require_files(path: Path) -> None:
     Raises:
         FileAccessError: One is not, or a link leads elsewhere.
     """
-    folders = allowed_folders(None)
+    folders = (path, *allowed_folders(None))  # the caller may name it by a link
     for folder, names, files in os.walk(path):
         for entry in (Path(folder, name) for name in (*names, *files)):
             status = entry.lstat().st_mode

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from geokit.formats.scene_content.gltf_accessors import Accessors
 from geokit.formats.scene_content.gltf_entries import entry_of, object_of, objects, primitives_of
 
-__all__ = ["INSTANCES", "VISIBILITY", "needs_writing_out", "write_out"]
+__all__ = ["INSTANCES", "VISIBILITY", "needs_writing_out", "turn_of", "write_out"]
 
 INSTANCES = "EXT_mesh_gpu_instancing"
 VISIBILITY = "KHR_node_visibility"
@@ -313,16 +313,20 @@ def _local(node: dict[str, Any]) -> NDArray[np.float64]:
     # Programs round quaternions, whose length is meant to be 1.
     x, y, z, w = turned / (np.linalg.norm(turned) or 1.0)
     matrix = np.eye(4)
-    turn = np.array(
+    matrix[:3, :3] = turn_of(w, x, y, z) * np.array(node.get("scale", (1.0, 1.0, 1.0)), np.float64)
+    matrix[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
+    return matrix
+
+
+def turn_of(w: float, x: float, y: float, z: float) -> NDArray[np.float64]:
+    """The rotation of a quaternion of length 1."""
+    return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
             [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
             [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
         ]
     )
-    matrix[:3, :3] = turn * np.array(node.get("scale", (1.0, 1.0, 1.0)), np.float64)
-    matrix[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
-    return matrix
 
 
 def _reached(tree: dict[str, Any], roots: Any) -> set[int]:

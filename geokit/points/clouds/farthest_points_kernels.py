@@ -141,14 +141,3 @@ def greedy_kernel(
 ):
     """Select ``count`` points; all threads of the single block take part in every step."""
     take_farthest(cloud, start, count, out_index)
-
-
-@wp.kernel
-def take_kernel(
-    first: int,
-    points: wp.array(dtype=wp.vec3d),
-    index: wp.array(dtype=wp.int32),
-    out_points: wp.array(dtype=wp.vec3d),
-):
-    i = first + wp.tid()
-    out_points[i] = points[index[i]]

@@ -11,6 +11,7 @@ import pytest
 
 import geokit as gk
 from geokit.formats.images import zarr_image
+from geokit.formats.references import set_default_folders
 from geokit.volume.images import save
 from tests.formats.images.test_places import INDICES, LPS, STRAIGHT, VALUES, assert_there, at, turned, volume_at, world
 
@@ -253,6 +254,44 @@ def test_a_zarr_is_made_of_regular_files_in_its_folder(tmp_path: Path) -> None:
     chunk.unlink()
     chunk.symlink_to("inside")
     assert gk.volume.load(path).info.active_voxel_count == 63
+
+
+@pytest.mark.parametrize("kind", ["dicom", "zarr"])
+def test_a_folder_of_the_caller_s_may_be_named_by_a_link(tmp_path: Path, kind: str) -> None:
+    (tmp_path / "real").mkdir()
+    folder = tmp_path / "real" / f"a.{kind}"
+    if kind == "zarr":
+        _array(folder)
+        (folder / "inside").write_bytes(np.arange(64, dtype="<f4").tobytes())
+        (folder / "0.0.0").symlink_to("inside")
+    else:
+        write_series(folder, STRAIGHT)
+        (folder / "s0.dcm").rename(folder / "DICOMDIR")  # which is not read by that name
+        (folder / "s0.dcm").symlink_to("DICOMDIR")
+    (tmp_path / "named").mkdir()
+    (tmp_path / "named" / f"link.{kind}").symlink_to(folder)
+    assert gk.volume.load(tmp_path / "named" / f"link.{kind}").info.active_voxel_count > 60
+
+
+def test_links_of_a_dicom_folder_lead_only_into_it_and_where_is_allowed(tmp_path: Path) -> None:
+    folder = tmp_path / "here" / "ct"
+    folder.parent.mkdir()
+    write_series(folder, STRAIGHT)
+    expected = gk.volume.load(folder).nanovdb.tobytes()
+    (tmp_path / "elsewhere").mkdir()
+    (folder / "s0.dcm").rename(tmp_path / "elsewhere" / "0.dcm")
+    (folder / "s0.dcm").symlink_to(tmp_path / "elsewhere" / "0.dcm")
+    for call in (gk.volume.load, gk.volume.inspect):
+        with pytest.raises(gk.FileAccessError, match=r"ct: refers to 's0\.dcm' \(.*0\.dcm\), outside its own folder"):
+            call(folder)
+    set_default_folders([tmp_path / "elsewhere"])
+    try:
+        assert gk.volume.load(folder).nanovdb.tobytes() == expected
+    finally:
+        set_default_folders([])
+    # The caller names a file by a link.
+    (tmp_path / "a.dcm").symlink_to(folder / "s1.dcm")
+    assert gk.volume.load(tmp_path / "a.dcm").info.active_voxel_count
 
 
 def test_chunks_of_zarr_are_held_to_the_limit(tmp_path: Path) -> None:
