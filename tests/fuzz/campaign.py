@@ -190,5 +190,7 @@ def _keep(target: Target, folder: Path, told: dict[str, Any], keep: Path) -> Non
     place.mkdir(parents=True, exist_ok=True)
     (place / "end.json").write_text(json.dumps(told))
     for path in folder.glob("a*"):
-        if path.is_file():
+        if path.is_dir():
+            shutil.copytree(path, place / path.name, dirs_exist_ok=True)
+        else:
             shutil.copy(path, place / path.name)

@@ -8,6 +8,7 @@ mutants would end at the guard.
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import io
 import json
@@ -341,6 +342,64 @@ def gzipped(data: bytearray, chance: random.Random, others: Sequence[bytes]) -> 
     data[:] = gzip.compress(bytes(content), mtime=0)
 
 
+def _is_json_object(data: bytes) -> bool:
+    with contextlib.suppress(ValueError):
+        return data[:1] == b"{" and bool(json.loads(data))
+    return False
+
+
+def folder(beside: dict[str, bytes], chance: random.Random) -> str:
+    """Damages a member of a folder, or its name or place in it; returns what was done."""
+    name, other = chance.choice(sorted(beside)), chance.choice(sorted(beside))
+    content = beside[name]
+    texts = [key for key in sorted(beside) if _is_json_object(beside[key])]
+    match chance.randrange(10):
+        case 0 if len(beside) > 1:
+            del beside[name]
+            return "member removed"
+        case 1:
+            beside[name] = beside[other]
+            return "member of another"
+        case 2:
+            renamed = chance.choice(
+                ("x", "9.9.9", "DICOMDIR", ".zattrs", "zarr.json", "a\xff", name.rpartition("/")[2] + "0")
+            )
+            beside[f"{name.rpartition('/')[0]}/{renamed}"] = content
+            return "member twice"
+        case 3 if len(content) > 400:
+            # A field of DICOM: its group, its kind or its length, at an even place behind the preamble.
+            damaged = bytearray(content)
+            at = chance.randrange(132, len(damaged) - 8) & ~1
+            damaged[at : at + 2] = chance.choice(
+                (
+                    b"SQ",
+                    b"UN",
+                    b"DS",
+                    b"IS",
+                    b"OW",
+                    b"US",
+                    b"\xfe\xff",
+                    b"\x00\xe0",
+                    b"\xe0\x7f",
+                    b"\x28\x00",
+                    b"\xff\xff",
+                )
+            )
+            beside[name] = bytes(damaged)
+            return "field"
+        case 4 | 5 | 6 if texts:
+            chosen = chance.choice(texts)
+            beside[chosen] = json_text(beside[chosen], chance)
+            return "json"
+        case _:
+            damaged = bytearray(content)
+            kind = chance.choice(TEXT if _is_text(content) else GENERAL)
+            if damaged:
+                kind(damaged, chance, [beside[other] or b"\0"])
+            beside[name] = bytes(damaged)
+            return kind.__name__
+
+
 # Damage that knows the container, by extension; half of the mutants of these get it.
 CONTAINERS: dict[str, Damage] = {
     ".nii.gz": gzipped,
@@ -366,6 +425,9 @@ def mutate(target: Target, sources: Sequence[Original], seed: int) -> Mutant:
     if target.kind == ".nvdb" and chance.random() < 0.7:
         return Mutant(source.variant, *mutate_grid(source.data, chance))
     data, beside = bytearray(source.data), dict(source.beside)
+    if not data:
+        steps = tuple(folder(beside, chance) for _ in range(chance.choice((1, 1, 1, 2, 4))))
+        return Mutant(source.variant, b"", beside, False, steps)
     mended, done = False, []
     container = CONTAINERS.get(target.kind)
     if container is not None and chance.random() < 0.6:
@@ -377,7 +439,7 @@ def mutate(target: Target, sources: Sequence[Original], seed: int) -> Mutant:
         if beside and chance.random() < 0.5:
             name = chance.choice(sorted(beside))
             damaged = bytearray(beside[name])
-        others = [original.data for original in sources]
+        others = [original.data for original in sources if original.data]
         for _ in range(chance.choice((1, 1, 1, 2, 4))):
             if damaged:
                 kind = chance.choice(TEXT if _is_text(damaged) else GENERAL)

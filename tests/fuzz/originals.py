@@ -30,7 +30,7 @@ class Target(NamedTuple):
 
 
 class Original(NamedTuple):
-    """A file, and those beside it that it refers to, by name."""
+    """A file, and those beside it that it refers to, by name; of a folder, no data and the files in it."""
 
     variant: str
     data: bytes
@@ -41,7 +41,7 @@ TARGETS = [
     Target(content, kind)
     for kind, row in FORMATS.items()
     for content in ("mesh", "points", "rays", "volume")
-    if "r" in getattr(row, content) and kind not in (".dcm", ".zarr")  # folders
+    if "r" in getattr(row, content)
 ]
 
 RANDOM = np.random.default_rng(3)
@@ -67,9 +67,10 @@ def originals(target: Target) -> list[Original]:
             made = make(path)
             if made is not None:
                 path.write_bytes(made.encode() if isinstance(made, str) else made)
-            rest = {other.name: other.read_bytes() for other in own.iterdir() if other != path}
+            files = sorted(other for other in own.rglob("*") if other != path and other.is_file())
+            rest = {other.relative_to(own).as_posix(): other.read_bytes() for other in files}
             # meshio names files beside it by their whole path.
-            data = path.read_bytes().replace(f"{own}/".encode(), b"")
+            data = b"" if path.is_dir() else path.read_bytes().replace(f"{own}/".encode(), b"")
             found.append(Original(variant, data, rest))
     return found
 
@@ -264,6 +265,13 @@ def _dense(kind: str, level_set: gk.volume.SparseVolume) -> _Makers:
     if kind in (".tif", ".tiff"):
         yield "imagej", lambda path: _tiff(path, values, imagej=True, metadata={"spacing": 2.0, "unit": "um"})
         yield "plain", lambda path: _tiff(path, values, compression="zlib", predictor=True)
+    if kind == ".zarr":
+        yield "array", lambda path: _zarr_array(path, values, 2)
+        yield "array of version 3", lambda path: _zarr_array(path, values, 3)
+    if kind == ".dcm":
+        yield "series", lambda path: _series(path, values)
+        yield "one file", lambda path: _slice(path, values[:, :, 0], 0)
+        yield "run-length coded", lambda path: _series(path, values, packed=True)
     if kind == ".vox":
         yield "two models", lambda path: vox_of(2)
     if kind == ".npy":
@@ -274,6 +282,39 @@ def _quietly(function: Callable[..., None], *args: object, **options: object) ->
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # .npy has no place
         function(*args, **options)
+
+
+def _zarr_array(path: Path, values: np.ndarray, version: int) -> None:
+    import zarr
+
+    chunks = (4, 4, 4)
+    array = zarr.create_array(path, shape=values.shape, chunks=chunks, dtype=values.dtype, zarr_format=version)
+    array[...] = values
+
+
+def _series(path: Path, values: np.ndarray, packed: bool = False) -> None:
+    path.mkdir()
+    for k in range(3):
+        _slice(path / f"{k}.dcm", values[:, :, k], k, packed)
+
+
+def _slice(path: Path, values: np.ndarray, k: int, packed: bool = False) -> None:
+    import pydicom
+
+    data = pydicom.Dataset()
+    data.SOPClassUID, data.SOPInstanceUID, data.SeriesInstanceUID = pydicom.uid.CTImageStorage, f"1.2.{k}", "1.2"
+    data.Rows, data.Columns, data.SamplesPerPixel = values.shape[1], values.shape[0], 1
+    data.PhotometricInterpretation, data.SeriesDescription = "MONOCHROME2", "small"
+    data.BitsAllocated, data.BitsStored, data.HighBit, data.PixelRepresentation = 16, 16, 15, 1
+    data.PixelSpacing, data.SliceThickness, data.InstanceNumber = ["0.5", "0.5"], "2", k
+    data.ImageOrientationPatient, data.ImagePositionPatient = list("100010"), ["1", "2", str(2 * k)]
+    data.RescaleSlope, data.RescaleIntercept = "2", "-10"
+    data.PixelData = np.ascontiguousarray(values.T).tobytes()
+    data.file_meta = pydicom.dataset.FileMetaDataset()
+    data.file_meta.TransferSyntaxUID = pydicom.uid.ExplicitVRLittleEndian
+    if packed:
+        data.compress(pydicom.uid.RLELossless)
+    data.save_as(path, enforce_file_format=True)
 
 
 def _nifti(path: Path, values: np.ndarray) -> None:

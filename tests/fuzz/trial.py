@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import re
+import shutil
 import sys
 import warnings
 from collections.abc import Callable, Iterator
@@ -32,11 +33,16 @@ class Unsound(Exception):
 
 
 def write(folder: Path, kind: str, data: bytes, beside: dict[str, bytes]) -> Path:
-    """The files of a mutant in a folder; returns the path to load."""
-    for name, content in beside.items():
-        (folder / name).write_bytes(content)
+    """The files of a mutant in a folder, or a folder of them; returns the path to load."""
     path = folder / f"a{kind}"
-    path.write_bytes(data)
+    if path.is_dir():
+        shutil.rmtree(path)
+    path.unlink(missing_ok=True)
+    for name, content in beside.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(content)
+    if not path.is_dir():
+        path.write_bytes(data)
     return path
 
 
