@@ -8,6 +8,7 @@ from __future__ import annotations
 import importlib
 from typing import Any, NamedTuple
 
+from geokit.core.running.interrupts import signals_held
 from geokit.errors import MissingDependencyError
 
 __all__ = ["PACKAGES", "Package", "remedy", "require_package"]
@@ -72,7 +73,9 @@ def require_package(module: str) -> Any:
         ImportError: It is installed, and there is no memory for it.
     """
     try:
-        return importlib.import_module(module)
+        # Some take an interrupt within for a package that is missing, or leave half a module, which crashes at the end.
+        with signals_held():
+            return importlib.import_module(module)
     except ImportError as error:
         # No memory for a shared library: operations say what they need.
         if any(text in str(error).lower() for text in ("failed to map segment", "cannot allocate memory")):

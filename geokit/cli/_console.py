@@ -195,9 +195,11 @@ def _ticking(current: Step, show: Callable[[str], None]) -> Iterator[None]:
             current.tell()
 
     ticker = threading.Thread(target=tick, daemon=True)
-    ticker.start()
+    with contextlib.suppress(RuntimeError):  # without a thread for it the step runs all the same
+        ticker.start()
     try:
         yield
     finally:
         ended.set()
-        ticker.join()
+        if ticker.ident is not None:
+            ticker.join()

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Device",
     "FiniteOnly",
+    "Flag",
     "Kind",
     "UpAxis",
     "grid_names",
@@ -40,6 +41,7 @@ __all__ = [
 Kind = Literal["mesh", "volume", "cloud"]
 UpAxis = Annotated[Literal["x", "y", "z", "-x", "-y", "-z"], Parameter(allow_leading_hyphen=True)]
 _FINITE = "Leave out points that are not finite, with a notice; --no-finite-only refuses such files."
+Flag = Annotated[bool, Parameter(negative="")]
 FiniteOnly = Annotated[bool, Parameter(negative="--no-finite-only", help=_FINITE)]
 _DEVICE = "Device to compute on: cpu, cuda:0, ...; by default the first GPU, else the CPU."
 Device = Annotated[str | None, Parameter(help=_DEVICE)]

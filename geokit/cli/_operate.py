@@ -6,20 +6,18 @@ import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 from cyclopts import CycloptsError, Parameter
 
 from geokit.cli._console import announce_compiling, print_json, say, step
-from geokit.cli._kinds import grid_names, kind_of_input, kind_of_output, load_grid, may_write
+from geokit.cli._kinds import Flag, grid_names, kind_of_input, kind_of_output, load_grid, may_write
 from geokit.errors import GeokitError, InputError
 
 if TYPE_CHECKING:
     from geokit.volume._model import SparseVolume
 
-__all__ = ["DEFAULTS", "REMEDY", "Common", "Flag", "apply", "combine", "operation", "require_volume_file"]
-
-Flag = Annotated[bool, Parameter(negative="")]
+__all__ = ["DEFAULTS", "REMEDY", "Common", "apply", "combine", "operation", "require_volume_file"]
 
 
 @Parameter(name="*")

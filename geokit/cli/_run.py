@@ -16,7 +16,7 @@ from geokit.errors import GeokitError
 
 __all__ = ["run", "show_warning", "usage_message"]
 
-FAILURE, USAGE, INTERRUPTED = 1, 2, 130
+FAILURE, USAGE = 1, 2
 # The exit code that a shell reports for a command killed by SIGPIPE.
 BROKEN_PIPE = 141
 _HOME = re.compile(r"(?:^|(?<==))~(?=/|$)")
@@ -24,7 +24,7 @@ _STEPS = re.compile(r"with step=(\d+) to step=(\d+)$")
 
 
 def run(arguments: list[str]) -> int:
-    """Run the command line ``arguments`` and return the exit code."""
+    """Run the command line ``arguments`` and return the exit code; an interrupt goes on."""
     try:
         CycloptsError = require_package("cyclopts").CycloptsError
     except GeokitError as error:
@@ -57,8 +57,6 @@ def run(arguments: list[str]) -> int:
     except ModuleNotFoundError as error:
         package = (error.name or "").partition(".")[0] or str(error)
         return _fail(f"the Python package {package} is not installed; pip install geokit brings it along", FAILURE)
-    except KeyboardInterrupt:
-        return _fail("interrupted", INTERRUPTED)
     except BrokenPipeError:
         # The reader has closed the pipe, as in `geokit info ... | head`.
         _discard_output()
@@ -101,7 +99,7 @@ def usage_message(error: BaseException) -> str:
 
 
 def _fail(message: str, code: int, *, hint: str = "") -> int:
-    if _debugging() and code not in (USAGE, INTERRUPTED):
+    if _debugging() and code != USAGE:
         traceback.print_exc()
     line = printable(" ".join(message.split()))
     print(f"geokit: {line}{hint}", file=sys.stderr)

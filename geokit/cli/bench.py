@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from geokit.cli._console import announce_compiling, note, print_json, print_table, say
-from geokit.cli._kinds import kind_of_input, load_cloud, load_grid
+from geokit.cli._kinds import Flag, kind_of_input, load_cloud, load_grid
 from geokit.errors import InputError
 
 if TYPE_CHECKING:
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 __all__ = ["bench"]
 
-Flag = Annotated[bool, Parameter(negative="")]
 Names = Annotated[list[str] | None, Parameter(negative="")]
 
 

@@ -14,6 +14,7 @@ from geokit.cli._console import announce_compiling, note, print_json, say, step
 from geokit.cli._kinds import (
     Device,
     FiniteOnly,
+    Flag,
     Kind,
     grid_names,
     kind_of_input,
@@ -36,8 +37,6 @@ __all__ = ["convert"]
 
 # Default number of voxels along the longest side: enough detail to look at, built in about a second.
 DEFAULT_RESOLUTION = 128
-
-Flag = Annotated[bool, Parameter(negative="")]
 
 
 def convert(

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
-
-from cyclopts import Parameter
+from typing import TYPE_CHECKING, Literal
 
 from geokit.cli._console import announce_compiling, note, print_json, print_table, say
-from geokit.cli._kinds import Device
+from geokit.cli._kinds import Device, Flag
 from geokit.errors import FileAccessError, InputError
 
 if TYPE_CHECKING:
@@ -17,7 +15,6 @@ if TYPE_CHECKING:
 
 __all__ = ["demo"]
 
-Flag = Annotated[bool, Parameter(negative="")]
 
 OUTPUTS = (
     "sdf.nvdb",

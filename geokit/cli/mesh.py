@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import App, Parameter
 
 from geokit.cli._console import announce_compiling, print_json, say, step
-from geokit.cli._kinds import Device, may_write
+from geokit.cli._kinds import Device, Flag, may_write
 from geokit.errors import InputError
 from geokit.formats.foreign import require_format
 
@@ -20,7 +20,6 @@ __all__ = ["app"]
 
 app = App(name="mesh", help="Make simple bodies; split, move and color meshes.")
 
-Flag = Annotated[bool, Parameter(negative="")]
 Source = Annotated[Path, Parameter(name="IN")]
 Target = Annotated[Path, Parameter(name="OUT")]
 Point = tuple[float, float, float]

@@ -11,7 +11,7 @@ import numpy as np
 from cyclopts import App, Parameter
 
 from geokit.cli._console import announce_compiling, step
-from geokit.cli._kinds import Device, FiniteOnly, kind_of_input, load_cloud, load_grid, load_rays
+from geokit.cli._kinds import Device, FiniteOnly, Flag, kind_of_input, load_cloud, load_grid, load_rays
 from geokit.cli._results import OUTPUT_EXTENSIONS, check_output, deliver
 from geokit.core.files import extension
 from geokit.errors import InputError
@@ -24,7 +24,6 @@ app = App(name="query", help="Find closest points, signed distances, ray hits, s
 # What a summary says of the distribution; half of the values are below the 50th.
 PERCENTILES = (5, 50, 95)
 
-Flag = Annotated[bool, Parameter(negative="")]
 Force = Annotated[bool, Parameter(negative="", help="Replace an existing output.")]
 Json = Annotated[bool, Parameter(negative="", help="Print the summary as JSON.")]
 _TABLE = "From a table of points (.csv .xyz .txt): names of the columns of x, y and z, as in east,north,up; by default "
@@ -63,13 +62,7 @@ def closest(
     summary = _summary(len(queries), started, surface.device)
     hits = found.triangle_id >= 0
     summary.update(hits=int(hits.sum()), **_spread("distance", found.distance[hits]))
-    data = {
-        "distance": found.distance,
-        "closest": found.points,
-        "triangle_id": found.triangle_id,
-        "barycentric": found.barycentric,
-    }
-    deliver(queries, data, summary, output, json=json)
+    deliver(queries, _closest(found), summary, output, json=json)
 
 
 @app.command
@@ -108,13 +101,7 @@ def signed(
         inside=int((found.distance < 0).sum()),
         **_spread("distance", found.distance),
     )
-    data = {
-        "distance": found.distance,
-        "closest": found.points,
-        "triangle_id": found.triangle_id,
-        "barycentric": found.barycentric,
-    }
-    deliver(queries, data, summary, output, json=json)
+    deliver(queries, _closest(found), summary, output, json=json)
 
 
 @app.command
@@ -299,6 +286,11 @@ def _require_kind(path: Path, wanted: str) -> None:
     found = kind_of_input(path)
     if found != wanted:
         raise InputError(f"{path}: holds a {found}, and this query needs a {wanted}")
+
+
+def _closest(found: Any) -> dict[str, Any]:
+    names = {"distance": "distance", "closest": "points", "triangle_id": "triangle_id", "barycentric": "barycentric"}
+    return {name: getattr(found, field) for name, field in names.items()}
 
 
 def _summary(count: int, started: float, device: str) -> dict[str, Any]:

@@ -8,13 +8,11 @@ from typing import Annotated, Any
 from cyclopts import CycloptsError, Parameter
 
 from geokit.cli._console import announce_compiling, note, say, step
-from geokit.cli._kinds import FiniteOnly, UpAxis, kind_of_input, load_cloud, load_grid, may_write, refuse_unused
+from geokit.cli._kinds import FiniteOnly, Flag, UpAxis, kind_of_input, load_cloud, load_grid, may_write, refuse_unused
 from geokit.core.files import extension, require_extension
 from geokit.formats.table import FORMATS
 
 __all__ = ["view"]
-
-Flag = Annotated[bool, Parameter(negative="")]
 
 
 def view(

@@ -21,6 +21,7 @@ import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
+from geokit.core.running.interrupts import ATTEMPTS
 from geokit.errors import FileAccessError, InputError
 
 __all__ = ["distrust", "make_own", "private_folder", "remove_folder", "require_trusted", "temporary_parent"]
@@ -39,8 +40,6 @@ FOREIGN_SECONDS = 24 * 3600.0
 # When to look again, by parent folder.
 _next_look: dict[str, float] = {}
 _REMEMBERED = 1000
-# How often work that must not be left half done is tried while interrupts come.
-ATTEMPTS = 5
 
 
 @contextlib.contextmanager

@@ -154,9 +154,7 @@ def write_mesh(path: Path, mesh: TriangleMesh) -> None:
     if mesh.vertex_data or mesh.materials:
         path.write_bytes(gltf.glb_of(mesh))
         return
-    require_package("trimesh")
-    import trimesh
-
+    trimesh = require_package("trimesh")
     name = utf8(mesh.name) or "mesh"
     content = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False, validate=False)
     scene = trimesh.Scene()

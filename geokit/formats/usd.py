@@ -60,8 +60,7 @@ def read_mesh(path: Path, folders: Sequence[Path]) -> list[Body]:
     references, payloads and clips) and images are opened from the file's own folder, which needs to be the working
     folder, and from ``folders``.
     """
-    require_package("pxr")
-    from pxr import UsdGeom
+    UsdGeom = require_package("pxr.UsdGeom")
 
     from geokit.formats.scene_content.usd_materials import Materials
 

@@ -39,9 +39,7 @@ def read_grids(path: Path, folders: list[str]) -> tuple[dict[str, Any], list[tup
         FileAccessError: A file lies outside the folders, or is missing.
         FileFormatError: The stage is damaged, or refers to no file.
     """
-    require_package("pxr")
-    from pxr import UsdGeom
-
+    UsdGeom = require_package("pxr.UsdGeom")
     allowed = [Path(folder) for folder in folders]
     stage = usd.open_stage(path, allowed)
     transforms = UsdGeom.XformCache(usd.transform_time(stage))

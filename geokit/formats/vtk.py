@@ -94,9 +94,7 @@ def read_mesh(path: Path) -> list[Body]:
 
     Arrays of points and cells come along. Those that VTK marks as normals and texture coordinates are called so.
     """
-    require_package("vtkmodules")
-    from vtkmodules.util.numpy_support import vtk_to_numpy
-
+    vtk_to_numpy = require_package("vtkmodules.util.numpy_support").vtk_to_numpy
     with _window, _collected() as said:
         data = _data_set(path)
     # VTK reports a damaged file only as text and returns what it has read so far.

@@ -33,8 +33,7 @@ class DeviceArrays:
     __slots__ = ("faces", "lock", "vertices")
 
     def __init__(self, vertices: "wp.array", faces: "wp.array") -> None:
-        self.vertices, self.faces = vertices, faces
-        self.lock = Lock()
+        self.vertices, self.faces, self.lock = vertices, faces, Lock()
 
     def download(self) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
         """Vertices (V, 3) and faces (F, 3) on the host."""

@@ -27,7 +27,7 @@ from geokit.render._checks import (
     value_range,
 )
 
-__all__ = ["DPI", "image", "new_axes", "save_figure"]
+__all__ = ["DPI", "image", "new_axes", "new_figure", "save_figure"]
 
 # Text at 10 points reads well at 100 pixels an inch.
 DPI = 100
@@ -89,15 +89,21 @@ def _pixels(array: Any, title: str) -> NDArray[np.float64]:
     return pixels
 
 
-def new_axes(size: tuple[int, int], count: int) -> tuple[Any, list[Any]]:
-    """Create a figure without a window, with ``count`` axes in a row."""
+def new_figure(size: tuple[int, int], **options: Any) -> Any:
+    """Create a white figure without a window."""
     require_package("matplotlib")
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     # Without pyplot there is no global state and no choice of a window system.
-    figure = Figure(figsize=(size[0] / DPI, size[1] / DPI), dpi=DPI, layout="constrained", facecolor="white")
+    figure = Figure(figsize=(size[0] / DPI, size[1] / DPI), dpi=DPI, facecolor="white", **options)
     FigureCanvasAgg(figure)
+    return figure
+
+
+def new_axes(size: tuple[int, int], count: int) -> tuple[Any, list[Any]]:
+    """Create a figure without a window, with ``count`` axes in a row."""
+    figure = new_figure(size, layout="constrained")
     axes = figure.subplots(1, count, squeeze=False)
     return figure, list(axes[0])
 

@@ -11,11 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geokit._packages import require_package
 from geokit.errors import InputError
 from geokit.render._chart import COLORS, MARKERS
 from geokit.render._checks import FLAT, checked_size, checked_target
-from geokit.render._image import DPI, save_figure
+from geokit.render._image import new_figure, save_figure
 
 __all__ = ["FRONT_STYLES", "MOST_LABELS", "Cloud", "decade_ticks", "pareto_chart", "power_text"]
 
@@ -148,13 +147,8 @@ def power_text(value: float) -> str:
 
 def _new_axis(size: tuple[int, int], list_length: int) -> tuple[Any, Any]:
     """Create a figure without a window, high enough for its list, with axes to the left of the list."""
-    require_package("matplotlib")
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     width, height = size[0], max(size[1], ROW_PIXELS * (list_length + 2))
-    figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI, facecolor="white")
-    FigureCanvasAgg(figure)
+    figure = new_figure((width, height))
     left, right, below, above = BORDERS
     # Fixed margins: a layout engine would draw everything twice for the same result.
     across, up = (width - LIST_PIXELS - left - right) / width, (height - below - above) / height

@@ -87,9 +87,7 @@ def draw_smoke(
 
 
 def _rgb(color: str | None) -> NDArray[np.float64]:
-    require_package("matplotlib")
-    from matplotlib.colors import to_rgb
-
+    to_rgb = require_package("matplotlib.colors").to_rgb
     try:
         return np.array(to_rgb(color or "white"))
     except ValueError as error:

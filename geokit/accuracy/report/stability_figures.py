@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit._packages import require_package
 from geokit.core.files import atomic_path
 
 __all__ = ["sweep_figure"]
@@ -57,14 +56,9 @@ def sweep_figure(
     Returns:
         The path that was written.
     """
-    require_package("matplotlib")
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    from geokit.render._image import new_figure
 
-    from geokit.render._image import DPI
-
-    figure = Figure(figsize=(SIZE[0] / DPI, SIZE[1] / DPI), dpi=DPI, facecolor="white")
-    FigureCanvasAgg(figure)
+    figure = new_figure(SIZE)
     # Placed by hand, because a layout engine would draw everything twice for the same result.
     x = np.asarray(values, dtype=np.float64)
     lower = figure.add_axes((0.15, 0.13, 0.82, 0.79 if y_label is None else 0.18))

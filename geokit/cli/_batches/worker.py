@@ -23,11 +23,13 @@ from pathlib import Path
 from typing import Any
 
 import geokit
+from geokit.errors import WorkerError
 
 __all__ = ["TRIES", "about_here", "end_processes", "run_files", "set_aside", "versions"]
 
 # A file whose process ends this often is set aside.
 TRIES = 3
+REMEDY = "give fewer --jobs, or raise the limit of processes (ulimit -u), and run the same command again"
 # How often the memory of a process is looked at [s].
 LOOK = 0.05
 # The first entry of sys.path is the working folder here, and the user's files must not shadow modules.
@@ -96,7 +98,8 @@ class _Process:
 
     def __init__(self, threads: int) -> None:
         paths = os.pathsep.join(os.path.abspath(entry) for entry in sys.path if entry)
-        self.environment = {"GEOKIT_THREADS": str(threads), **os.environ, "PYTHONPATH": paths}
+        usual = {"GEOKIT_THREADS": str(threads), "OPENBLAS_NUM_THREADS": "1"}
+        self.environment = {**usual, **os.environ, "PYTHONPATH": paths}
         self.running: subprocess.Popen[bytes] | None = None
         self.closed = False
         _all.add(self)
@@ -126,7 +129,10 @@ class _Process:
                 command = [sys.executable, "-c", _START, str(Path(geokit.__file__).parents[1])]
                 # A session of its own, so that processes that it starts end with it.
                 pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "start_new_session": True}
-                self.running = subprocess.Popen(command, env=self.environment, **pipes)  # type: ignore[call-overload]
+                try:
+                    self.running = subprocess.Popen(command, env=self.environment, **pipes)  # type: ignore[call-overload]
+                except OSError as refused:  # no file is to blame
+                    raise WorkerError(f"a process cannot be started ({refused.strerror}); {REMEDY}") from refused
                 if self.closed:  # since it was looked at; nobody else ends this process
                     self.stop()
                     break

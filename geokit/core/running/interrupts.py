@@ -15,9 +15,10 @@ from collections.abc import Iterator, Sequence
 from types import FrameType
 from typing import Any
 
-from geokit.core.private_folder import ATTEMPTS
+__all__ = ["ATTEMPTS", "child_process", "signals_held"]
 
-__all__ = ["child_process", "signals_held"]
+# How often work that must not be left half done is tried while interrupts come.
+ATTEMPTS = 5
 
 
 @contextlib.contextmanager

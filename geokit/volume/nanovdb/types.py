@@ -95,11 +95,6 @@ class GridType:
         """Whether values can be interpolated to an isosurface; integers, bits and vectors cannot."""
         return self.family in ("float", "quantized")
 
-    @property
-    def pnanovdb(self) -> str:
-        """The name of the type in PNanoVDB.h, after ``PNANOVDB_GRID_TYPE_``."""
-        return "BOOLEAN" if self.family == "bool" else self.name.upper()
-
 
 def _scalar(number: int, name: str, family: Family, code: str, statistic_bytes: int, **options: Any) -> GridType:
     value = np.dtype(code)

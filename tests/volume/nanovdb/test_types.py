@@ -83,7 +83,8 @@ def test_numbers_and_sizes_are_those_of_the_header_that_warp_brings():
         name: int(number) for name, number in re.findall(r"#define PNANOVDB_GRID_TYPE_([A-Z0-9]+) (\d+)\n", text)
     }
     end = numbers.pop("END")
-    assert {kind.pnanovdb: kind.number for kind in TYPES} == numbers
+    numbers["BOOL"] = numbers.pop("BOOLEAN")
+    assert {kind.name.upper(): kind.number for kind in TYPES} == numbers
     assert end == len(TYPES)
     assert [BY_NAME[name].number for name in GRID_TYPES] == list(range(len(TYPES)))
     bits = values_in(text, "pnanovdb_grid_type_value_strides_bits")

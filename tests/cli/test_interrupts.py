@@ -1,0 +1,119 @@
+"""Ctrl-C, closed standard streams and limits of processes, in real processes."""
+
+from __future__ import annotations
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from geokit._packages import require_package
+from geokit.cli._batches import worker
+from geokit.cli._console import step
+from geokit.errors import WorkerError
+from tests.cli.conftest import ROOT, SECONDS
+
+pytestmark = pytest.mark.process
+
+# Interrupts within a drawing, which takes a second or two.
+PLACES = 8
+
+
+def started(*arguments, **options):
+    return subprocess.Popen(
+        [sys.executable, "-m", "geokit", *map(str, arguments)], text=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)}, **options,
+    )  # fmt: skip
+
+
+def interruptible():
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def test_drawing_ends_by_130_wherever_it_is_interrupted(cube, tmp_path):
+    arguments = ("render", cube, "-o", tmp_path / "a.png", "--force")
+    begun = time.monotonic()
+    assert started(*arguments).wait(SECONDS) == 0
+    whole = time.monotonic() - begun
+    for place in range(PLACES):
+        process = started(*arguments, stderr=subprocess.PIPE, preexec_fn=interruptible)
+        time.sleep(whole * (0.15 + 0.6 * place / PLACES))
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=SECONDS)
+        # One that came late, on a machine with more to do at first than now, has nothing to interrupt.
+        assert process.returncode in (0, 130), said
+        assert "Traceback" not in said
+
+
+@pytest.mark.parametrize("caught", ["Exception('a library turned it')", "SystemExit(0)", "None"])
+def test_an_interrupt_that_a_library_catches_is_one(caught):
+    code = (
+        "import signal, geokit.cli, geokit.cli._run as verbs\n"
+        "def run(_):\n"
+        "    try: signal.raise_signal(signal.SIGINT)\n"
+        f"    except BaseException: caught = {caught}\n"
+        "    return 0 if caught is None else 1\n"
+        "verbs.run = run\n"
+        "raise SystemExit(geokit.cli.main())\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=SECONDS, preexec_fn=interruptible,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (130, "geokit: interrupted\n")
+
+
+def test_an_import_is_not_divided(tmp_path, monkeypatch):
+    """What catches all errors, as trimesh does, would take the interrupt for a package that is missing."""
+    (tmp_path / "greedy.py").write_text(
+        "import signal\n"
+        "try:\n"
+        "    signal.raise_signal(signal.SIGINT)\n"
+        "    found = True\n"
+        "except BaseException:\n"
+        "    found = False\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(KeyboardInterrupt):
+        require_package("greedy")
+    assert sys.modules.pop("greedy").found
+
+
+@pytest.mark.parametrize("closed", [(0,), (1,), (2,), (0, 1, 2)], ids=str)
+def test_closed_streams(closed, cube, tmp_path):
+    def close():
+        for number in closed:
+            os.close(number)
+
+    target = tmp_path / "b.ply"
+    for arguments, code in ((("convert", cube, target), 0), (("info", tmp_path / "missing.obj"), 1)):
+        process = started(*arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, preexec_fn=close)
+        out, err = process.communicate(timeout=SECONDS)
+        assert process.returncode == code, err
+        assert "missing" not in out
+        assert ("missing" in err) == (code == 1 and 2 not in closed)
+    assert target.read_bytes().startswith(b"ply\n")
+    assert b"bytes" not in target.read_bytes()
+
+
+def test_a_process_that_cannot_be_started_is_no_fault_of_the_file(monkeypatch):
+    def refuse(*_, **__):
+        raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+
+    monkeypatch.setattr(worker.subprocess, "Popen", refuse)
+    batch = {"steps": [], "staging": "s", "memory": None, "seconds": None}
+    with pytest.raises(WorkerError, match=r"process cannot be started .*ulimit -u"):
+        worker._Process(1).run(batch, "a.obj")
+
+
+def test_a_step_needs_no_thread(monkeypatch):
+    def refuse(_):
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr("threading.Thread.start", refuse)
+    with step("counting"):
+        pass
