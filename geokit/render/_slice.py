@@ -70,7 +70,7 @@ def slice_figure(
         axis: The axis that the plane is perpendicular to: "x", "y" or "z".
         position: Coordinate of the plane on the axis [world]; None uses the middle of the active voxels.
         contours: Values of the contour lines; None spreads nine over the range.
-        label: Text beside the color bar; by default the name of the grid, of vectors as |name|.
+        label: Text beside the color bar; by default the name of the grid, of vectors as ``|name|``.
         title: Text above the figure.
         size: Width and height of the figure in pixels.
         device: The device that samples the plane.

@@ -34,7 +34,7 @@ def farthest_points(points: "wp.array", count: int, start: int) -> tuple["wp.arr
     import warp as wp
 
     from geokit.points.clouds import farthest_points_kernels as kernels
-    from geokit.points.clouds.voxel_centroids_kernels import gather_kernel
+    from geokit.points.clouds.gather_kernels import gather_kernel
 
     device: Any = points.device
     n = len(points)

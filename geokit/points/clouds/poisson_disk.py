@@ -38,7 +38,7 @@ def poisson_disk_subset(points: "wp.array", radius: float, seed: int) -> tuple["
     import warp as wp
 
     from geokit.points.clouds import poisson_disk_kernels as kernels
-    from geokit.points.clouds.voxel_centroids_kernels import gather_kernel
+    from geokit.points.clouds.gather_kernels import gather_kernel
 
     device: Any = points.device
     count = len(points)

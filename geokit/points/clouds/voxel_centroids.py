@@ -221,7 +221,8 @@ def _sorted_by(points: "wp.array", keys: Any, key_count: int) -> VoxelOrder:
     """Points sorted by ascending key, stable; the keys are in the first half of an array."""
     import warp as wp
 
-    from geokit.points.clouds.voxel_centroids_kernels import begin_kernel, gather_kernel
+    from geokit.points.clouds.gather_kernels import gather_kernel
+    from geokit.points.clouds.voxel_centroids_kernels import begin_kernel
 
     device: Any = points.device
     count = len(points)

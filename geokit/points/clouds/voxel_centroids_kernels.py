@@ -82,17 +82,6 @@ def scatter_kernel(
 
 
 @wp.kernel
-def gather_kernel(
-    first: int,
-    points: wp.array(dtype=wp.vec3d),
-    index: wp.array(dtype=wp.int32),
-    out_points: wp.array(dtype=wp.vec3d),
-):
-    i = first + wp.tid()
-    out_points[i] = points[index[i]]
-
-
-@wp.kernel
 def axis_key_kernel(
     first: int,
     points: wp.array(dtype=wp.vec3d),
