@@ -66,7 +66,6 @@ html_context = {"default_mode": "auto"}
 
 # Pages that are files of the root.
 ROOT_PAGES = {
-    "readme": "README.md",
     "changelog": "CHANGELOG.md",
     "contributing": "CONTRIBUTING.md",
     "wheels": "packaging/README.md",

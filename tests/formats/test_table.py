@@ -1,4 +1,4 @@
-"""The table of formats: a line and a module make a format, and README and the docstrings say what the table says."""
+"""The table of formats: a line and a module make a format; docs/formats.md and the docstrings say what it says."""
 
 from __future__ import annotations
 
@@ -140,11 +140,11 @@ def listed(kinds) -> str:
 
 
 def missing(content) -> str:
-    """What README says of writing: all, or all but some."""
+    """What the page says of writing: all, or all but some."""
     return " ".join(kind for kind in extensions(content, "r") if kind not in extensions(content, "w"))
 
 
-def test_readme_lists_the_formats():
+def test_the_page_lists_the_formats():
     meshes, points = extensions("mesh", "w"), extensions("points", "r")
     rows = [
         f"| meshes | `{listed(extensions('mesh', 'r'))}` | all but `{missing('mesh')}` |",
@@ -154,9 +154,9 @@ def test_readme_lists_the_formats():
         f"| rays | `{listed(extensions('rays', 'r'))}` | |",
         f"| volumes | `{listed(extensions('volume', 'r'))}` | all but `{missing('volume')}` |",
     ]
-    text = (ROOT / "README.md").read_text()
+    text = (ROOT / "docs" / "formats.md").read_text()
     for row in rows:
-        assert row in text, f"README.md must have the line: {row}"
+        assert row in text, f"docs/formats.md must have the line: {row}"
 
 
 def test_the_command_line_page_lists_the_formats():

@@ -45,8 +45,8 @@ def test_every_package_is_installed_by_what_its_error_names(module: str) -> None
         assert package.name in remedy(module)
 
 
-def test_every_extra_is_in_the_table_of_the_readme() -> None:
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
+def test_every_extra_is_in_the_table_of_the_install_page() -> None:
+    text = (ROOT / "docs" / "install.md").read_text(encoding="utf-8")
     rows = dict(re.findall(r"^\| `(\w+)` \| (.*) \|$", text, re.MULTILINE))
     assert set(rows) == set(EXTRAS) - INTERNAL
     for extra, row in rows.items():
@@ -103,7 +103,7 @@ for use in (
 
 @pytest.mark.slow
 def test_queries_need_numpy_and_warp_only(tmp_path: Path) -> None:
-    # lazy_loader is part of the slim installation of the README.
+    # lazy_loader is part of the slim installation.
     code = SLIM.format(blocked=list(PACKAGES), mesh=str(ROOT / "data/samples/torus.ply"))
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, timeout=300)
     assert done.returncode == 0, done.stderr

@@ -1,4 +1,4 @@
-"""What the README shows is run: its Python, its commands, its two set-up commands' verbs, its links."""
+"""What README and the tour show is run: Python, commands, the verbs of the two set-up commands, links."""
 
 from __future__ import annotations
 
@@ -15,40 +15,45 @@ from tests.cli.conftest import run_geokit, run_here
 from tests.support.effort import of_all
 
 ROOT = Path(__file__).resolve().parents[2]
-README = (ROOT / "README.md").read_text(encoding="utf-8")
+README, TOUR = (ROOT / "README.md", ROOT / "docs" / "tour.md")
 
 FIRST = {"torus.png", "torus.ply", "cloud.ply"}
 
 
-def blocks(language: str) -> list[str]:
-    return re.findall(rf"^```{language}\n(.*?)^```", README, re.MULTILINE | re.DOTALL)
+def blocks(page: Path, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+
+
+def run_python(code: str, folder: Path) -> str:
+    # The last line opens a browser, as BROWSER says.
+    environment = {**os.environ, "BROWSER": "true", "TMPDIR": str(folder.parent)}
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=folder, env=environment)
+    assert run.returncode == 0, run.stderr
+    return run.stdout
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """An otherwise empty folder with what the first program leaves: it and the commands need no checkout."""
-    (first,) = blocks("py")
-    run = subprocess.run([sys.executable, "-c", first], capture_output=True, text=True, cwd=tmp_path)
-    assert run.returncode == 0, run.stderr
-    assert {path.name for path in tmp_path.iterdir()} == FIRST
-    return tmp_path
+    (first,) = blocks(README, "py")
+    place = tmp_path / "empty"
+    place.mkdir()
+    run_python(first, place)
+    assert {path.name for path in place.iterdir()} == FIRST
+    return place
 
 
 @pytest.mark.slow
 def test_python(folder: Path) -> None:
-    # The example of the first screen (py) and the tour (python).
-    first, tour = blocks("py"), blocks("python")
-    assert (len(first), len(tour)) == (1, 1)
-    code = "\n".join(first + tour)
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=folder)
-    assert run.returncode == 0, run.stderr
-    assert run.stdout.splitlines() == ["True"]
+    (tour,) = blocks(TOUR, "python")
+    assert run_python(tour, folder).splitlines() == ["True"]
     assert {path.name for path in folder.iterdir()} == {*FIRST, "torus.vdb", "closest.vtp", "scene.html"}
 
 
 @pytest.mark.slow
 def test_commands(folder: Path) -> None:
-    commands = [line for block in blocks("sh") for line in block.splitlines() if line.startswith("geokit ")]
+    shown = [line for page in (TOUR, README) for block in blocks(page, "sh") for line in block.splitlines()]
+    commands = list(dict.fromkeys(line for line in shown if line.startswith("geokit ")))
     assert len(commands) >= 8
     for command in commands:
         _, verb, *words = shlex.split(command, comments=True)
@@ -73,7 +78,9 @@ def test_commands(folder: Path) -> None:
 
 
 def test_set_up_commands_are_verbs_of_dev() -> None:
-    shown = [line.split()[:2] for block in blocks("sh") for line in block.splitlines() if line.startswith("./dev")]
+    shown = [
+        line.split()[:2] for block in blocks(README, "sh") for line in block.splitlines() if line.startswith("./dev")
+    ]
     assert shown == [["./dev", "demo"], ["./dev", "test"]]
     listed = subprocess.run([ROOT / "dev"], capture_output=True, text=True, check=True).stdout
     for verb in ("demo", "test", "check", "bench"):

@@ -257,7 +257,7 @@ def test_code_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_every_new_page_with_code_runs() -> None:
-    elsewhere = {"readme", "kernels", "gradients", "granular", "warp-tour"}
+    elsewhere = {"tour", "kernels", "gradients", "granular", "warp-tour"}
     with_code = {page.relative_to(DOCS).with_suffix("").as_posix() for page in PAGES if blocks(page)}
     assert with_code - elsewhere == {*RUN, *(f"guides/{name}" for name in GUIDES)}
 

@@ -225,7 +225,7 @@ def test_no_other_module_lists_grid_types():
     assert not found, f"take these from nanovdb/types.py: {found}"
 
 
-def test_readme_lists_the_types():
-    text = " ".join((Path(__file__).parents[3] / "README.md").read_text().split())
+def test_the_page_of_formats_lists_the_types():
+    text = " ".join((Path(__file__).parents[3] / "docs" / "formats.md").read_text().split())
     for names in (COMPONENTS, INDEX_TYPES):
-        assert f"`{' '.join(names)}`" in text, f"README.md must list the grids `{' '.join(names)}`"
+        assert f"`{' '.join(names)}`" in text, f"docs/formats.md must list the grids `{' '.join(names)}`"
