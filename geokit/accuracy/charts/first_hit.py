@@ -1,4 +1,4 @@
-"""Charts of first hits: exact, watertight or fast, and through a distance field instead of triangles."""
+"""Charts of first hits: exact, or warp's own, and through a distance field instead of triangles."""
 
 from __future__ import annotations
 
@@ -91,10 +91,8 @@ def _of_mesh(setup: MeshSetup, rays: Rays, judge: Callable[[Any], Judgement]) ->
 
     surface, size = setup.surface, held_bytes(setup.surface)
     origins, directions = send(rays.origins, setup.device), send(rays.directions, setup.device)
-    for watertight in (True, False):
-        chosen = {"watertight": watertight}
-        run = _casting(surface, origins, directions, watertight=watertight)
-        yield Trial("raycast", setting_of(chosen), run, judge, setup.count, size, chosen)
+    run = _casting(surface, origins, directions)
+    yield Trial("raycast", "as it is", run, judge, setup.count, size)
     size = warp_tree_bytes(setup)
 
     def run_raw() -> Any:

@@ -25,7 +25,7 @@ def mesh_charts(subject: Subject, device: Any, quick: bool) -> list[Chart]:
       with the tree built in the call, and warp's own query in float32; anywhere and near the surface.
     - "sign", "sign_hole", "sign_flips" and, unless quick, "sign_doubles": shares of wrong signs of every method, on the
       mesh, and on the mesh with a hole, with flipped faces and with doubled faces.
-    - "first_hit": watertight or not, warp's own query, and rays through level sets of several voxel sizes.
+    - "first_hit": geokit's query, warp's own, and rays through level sets of several voxel sizes.
     - "first_hit_edges": shares of leaks of rays aimed at edges and vertices.
     - "normals", of closed meshes: gradients of level sets, by voxel size and order, against the normals of the faces.
 

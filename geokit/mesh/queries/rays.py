@@ -16,7 +16,6 @@ from geokit.core.launches.replay import replayed
 from geokit.core.memory.needs import needs, rows
 from geokit.core.memory.pinned import host_flags
 from geokit.core.poses.placed import placed
-from geokit.core.require import require_flag
 from geokit.core.scan import row_offsets
 from geokit.core.snapshot import on_snapshot
 from geokit.errors import InputError
@@ -89,7 +88,6 @@ class RayQueries:
         *,
         t_min: float = 0.0,
         max_distance: float = math.inf,
-        watertight: bool = True,
         transform: ArrayLike | None = None,
         progress: Progress | None = None,
     ) -> RayHits:
@@ -108,8 +106,6 @@ class RayQueries:
             directions: Directions of any length [world], shape (N, 3), or one of shape (3,) for all.
             t_min: Hits with a smaller t are ignored, in units of the direction; for rays that start on the surface.
             max_distance: Length of the rays [world]; farther hits are misses.
-            watertight: Has no effect. False would allow leaks if that were faster, but it is not: the same traversal
-                runs, and the answers are the same to the last bit.
             transform: Where it is: a rigid map or mirror for column vectors, shape (4, 4). Arguments and answers are in
                 world coordinates; moving them rounds each to 1e-15 of its size. None leaves the surface in place.
             progress: Called as ``progress(done, total)`` after each block of a few million rays.
@@ -132,7 +128,6 @@ class RayQueries:
 
         from geokit.mesh.queries.raycast_kernels import raycast_kernel
 
-        require_flag(watertight, "watertight")
         require_measurable(self.mesh, self._frame)
 
         def query(rays: user_arrays.Batch, heading: user_arrays.Batch) -> RayHits:

@@ -216,7 +216,7 @@ def test_hits_elsewhere_are_wrong(sphere):
 def test_rays_at_edges_do_not_leak(sphere):
     trials = list(charts_of(sphere)["first_hit_edges"].trials())
     first = judged(trials[0])
-    assert trials[0].parameters == {"watertight": True}
+    assert trials[0].method == "raycast"
     assert not first.wrong.any()
     # Silhouettes are left out; all other rays hit their target or something before it.
     assert 0.5 * COUNT < len(first.errors) < COUNT
@@ -227,10 +227,10 @@ def test_rays_at_edges_do_not_leak(sphere):
 def test_the_rays_at_edges_find_the_leaks_of_boxes_that_are_not_padded(monkeypatch):
     monkeypatch.setattr(mesh_setup, "COUNTS", {"cpu": (8 * COUNT, 8 * COUNT)})
     shares = {
-        trial.setting: judged(trial).wrong.mean() for trial in charts_of(mesh_catalog.box())["first_hit_edges"].trials()
+        trial.method: judged(trial).wrong.mean() for trial in charts_of(mesh_catalog.box())["first_hit_edges"].trials()
     }
-    assert shares["watertight=True"] == 0.0
-    assert 0.0 < shares["as it is"] < 0.02
+    assert shares["raycast"] == 0.0
+    assert 0.0 < shares["warp.mesh_query_ray, float32"] < 0.02
 
 
 def test_of_a_single_triangle_no_edge_is_inside():

@@ -129,20 +129,6 @@ def test_limits_are_those_of_the_refined_t(name):
     np.testing.assert_array_equal(surface.occluded(*rays, **limits), hit)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", [*SOLIDS, *MAKERS])
-def test_not_watertight_is_the_same(name):
-    mesh = mesh_of(name)
-    surface = Surface(mesh, device="cpu")
-    rng = np.random.default_rng(65)
-    points = aims(mesh, rng)[1]
-    origins = mesh.bounds.mean(axis=0) + mesh.diagonal * rng.normal(size=(RAYS, 3))
-    one = surface.raycast(origins, points - origins)
-    other = surface.raycast(origins, points - origins, watertight=False)
-    for a, b in zip(one, other, strict=True):
-        assert a.tobytes() == b.tobytes()
-
-
 def test_leaves_follow_the_vertices():
     mesh = mesh_catalog.icosphere(3)
     surface = Surface(mesh, device="cpu")
