@@ -43,6 +43,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("geokit: interrupted", file=sys.stderr, flush=True)
         if arguments is None:
             _end(code)
+    elif arguments is None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # all is done; Python itself would die by one from here on
     return code
 
 

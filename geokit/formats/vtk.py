@@ -398,7 +398,7 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], dict[str, NDArray[np.g
 
 def write_points(path: Path, points: NDArray[np.float64], data: Mapping[str, NDArray[np.generic]]) -> None:
     """Write points as vertex cells, so that viewers show them, with their arrays; binary, float64 kept."""
-    require_package("vtkmodules")
+    require_package("vtkmodules.vtkIOXML")
     from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray
     from vtkmodules.vtkCommonCore import vtkPoints
     from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData

@@ -79,8 +79,8 @@ def _loads(name: str) -> bool:
 
 def _egl_draws() -> bool:
     """Whether EGL can open a context; its library loads even without a driver."""
+    vtkEGLRenderWindow = require_package("vtkmodules.vtkRenderingOpenGL2").vtkEGLRenderWindow
     from vtkmodules.vtkCommonCore import vtkLogger, vtkObject
-    from vtkmodules.vtkRenderingOpenGL2 import vtkEGLRenderWindow
 
     verbosity = vtkLogger.GetCurrentVerbosityCutoff()
     warnings = vtkObject.GetGlobalWarningDisplay()
@@ -101,4 +101,5 @@ def pyvista() -> Any:
     """The pyvista module, with a working OpenGL library chosen before its first window."""
     module = require_package("pyvista")
     gl_backend()
+    require_package("pyvista.plotting")  # else at the first use, where an interrupt crashes VTK's modules
     return module

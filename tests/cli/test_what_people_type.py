@@ -380,7 +380,8 @@ class TestProgress:
 @pytest.mark.slow
 @pytest.mark.skipif(not native.available(), reason="built without OpenVDB")
 def test_the_examples_of_the_documents_in_order(run: Callable[..., Done], tmp_path: Path, monkeypatch: Any) -> None:
-    pytest.importorskip("pxr")
+    for package in ("pxr", "nibabel"):
+        pytest.importorskip(package)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.setattr("webbrowser.open", lambda _: True)
@@ -420,6 +421,8 @@ def _inputs() -> None:
     for name in ("points.csv", "cloud.ply", "survey.ply"):
         gk.points.save(name, points)
     np.save("points.npy", points)
+    labels = np.pad(np.full((4, 4, 4), 2, np.uint8), 2)
+    gk.volume.save("segmentation.nii.gz", gk.volume.from_dense(labels, voxel_size=0.5))
     Path("rays.csv").write_text("ox,oy,oz,dx,dy,dz\n0.1,0,1,0,0,-1\n")
     for at, name in enumerate(("a.vdb", "b.vdb", "c.vdb", "body.vdb", "tool.vdb", "in.vdb", "other.nvdb")):
         moved = gk.mesh.TriangleMesh(ring.vertices + np.array([0.1 * at, 0.0, 0.0]), ring.faces)
