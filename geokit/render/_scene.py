@@ -14,6 +14,7 @@ from geokit.core.gradients.differentiable import of_constants
 from geokit.core.interop.types import MeshLike, Rows
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_choice, require_flag, require_instance, require_one_world
+from geokit.core.running.interrupts import signals_held
 from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError, MissingDependencyError
 from geokit.points._io import PointCloud
@@ -224,7 +225,8 @@ def figure(
             raise InputError("look: smoke is drawn alone; give a volume= that is no level set, and no isovalue")
         return _write_smoke(target, volume, color, view, (width, height), value_limits, transparent)
     pv = pyvista()
-    plotter = pv.Plotter(off_screen=True, window_size=(width, height), lighting="light kit")
+    with signals_held():  # it imports modules of VTK, which crash where an interrupt comes within
+        plotter = pv.Plotter(off_screen=True, window_size=(width, height), lighting="light kit")
     shown = _Look(colormap, value_limits, label, height, {})
     try:
         plotter.set_background("white")
