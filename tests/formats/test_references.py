@@ -12,8 +12,8 @@ import h5py
 import numpy as np
 import pytest
 
-from geokit import FileAccessError, FileFormatError, InputError, mesh
-from geokit.formats.references import require_inside
+from geokit import FileAccessError, FileFormatError, InputError, mesh, volume
+from geokit.formats.references import require_inside, set_default_folders
 
 # Most of them start the processes of the readers; the image of each .gltf lies outside.
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore:.*a texture is left out")]
@@ -305,3 +305,48 @@ def test_a_folder_whose_name_begins_alike_is_outside(tmp_path):
     with pytest.raises(FileAccessError):
         require_inside("../home2/b", tmp_path / "home2" / "b", path, [])
     assert require_inside("b", tmp_path / "home" / "b", path, []) == Path(os.path.realpath(tmp_path / "home" / "b"))
+
+
+def _ome(path: Path, reference: str) -> None:
+    """A stack whose second page lies in another file, as its OME says."""
+    tifffile = pytest.importorskip("tifffile")
+    pages = [("a.ome.tif", 1), (reference, 2)]
+    places = "".join(
+        f'<TiffData IFD="0" FirstZ="{z}" PlaneCount="1"><UUID FileName="{name}">urn:uuid:{number}</UUID></TiffData>'
+        for z, (name, number) in enumerate(pages)
+    )
+    ome = (
+        '<OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06" UUID="urn:uuid:1"><Image ID="Image:0"><Pixels '
+        'ID="Pixels:0" DimensionOrder="XYZCT" Type="uint8" SizeX="9" SizeY="8" SizeZ="2" SizeC="1" SizeT="1">'
+        f'<Channel ID="Channel:0:0" SamplesPerPixel="1"/>{places}</Pixels></Image></OME>'
+    )
+    tifffile.imwrite(path, np.full((8, 9), 200, np.uint8), metadata=None, description=ome)
+
+
+@pytest.mark.filterwarnings("ignore:.*reading array from closed file")
+def test_pages_of_ome_in_other_files(home, tmp_path):
+    """tifffile follows any name, and takes a file that it cannot open for zeros."""
+    tifffile = pytest.importorskip("tifffile")
+    path, outside = home / "a.ome.tif", tmp_path / "b.ome.tif"
+    tifffile.imwrite(outside, np.full((8, 9), 7, np.uint8), metadata=None)
+    (home / "link.ome.tif").symlink_to(outside)
+    os.mkfifo(home / "fifo.ome.tif")
+    for reference in (str(outside), "../b.ome.tif", "..&#47;b.ome.tif", "link.ome.tif"):
+        _ome(path, reference)
+        for call in (volume.load, volume.inspect):
+            with pytest.raises(FileAccessError, match=r"a\.ome\.tif: refers to .*\), outside its own folder"):
+                call(path)
+    _ome(path, "fifo.ome.tif")
+    with pytest.raises(FileAccessError, match=r"refers to 'fifo\.ome\.tif', which is not a regular file"):
+        volume.load(path)
+    _ome(path, "../b.ome.tif")
+    set_default_folders([tmp_path])
+    try:
+        assert volume.load(path).info.active_voxel_count == 144
+    finally:
+        set_default_folders([])
+    outside.rename(home / "b.ome.tif")
+    _ome(path, "b.ome.tif")
+    values = volume.to_dense(volume.load(path), device="cpu").values
+    assert values[..., 0].min() == 200
+    assert values[..., 1].max() == 7

@@ -9,7 +9,9 @@ pydicom decodes by itself, and to be no indices.
 
 from __future__ import annotations
 
+import io
 import logging
+import os
 from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
@@ -28,6 +30,8 @@ __all__ = ["open_images"]
 
 # The transfer syntax "RLE Lossless".
 RLE = "1.2.840.10008.1.2.5"
+# pydicom reads this much and less without knowing that it is there [bytes].
+PIECE = 1 << 16
 # Slices may lie this share of their distance beside their even places.
 LARGEST_JITTER = 0.02
 # What pydicom reads of a header.
@@ -38,6 +42,28 @@ _TAGS = [
     "PerFrameFunctionalGroupsSequence", "SharedFunctionalGroupsSequence", "PhotometricInterpretation",
     "ModalityLUTSequence",
 ]  # fmt: skip
+
+
+class _Held(io.BufferedReader):
+    """An open file that is refused where an element is longer than what is left: pydicom takes memory for it first."""
+
+    def __init__(self, file: Path) -> None:
+        super().__init__(io.FileIO(file))
+        self._file, self._size = file, os.fstat(self.fileno()).st_size
+
+    def _require(self, end: int) -> None:
+        if end > self._size:
+            raise FileFormatError(f"{self._file}: ends {end - self._size} bytes too early; get a whole copy")
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        if size is not None and size > PIECE:
+            self._require(self.tell() + size)
+        return super().read(size)
+
+    def seek(self, place: int, whence: int = 0, /) -> int:
+        if whence == os.SEEK_SET:
+            self._require(place)
+        return super().seek(place, whence)
 
 
 class _Slice(NamedTuple):
@@ -70,10 +96,12 @@ def open_images(path: Path, limit: int) -> list[Image]:
             continue
         if file != path:  # a link of the folder, in it or in one that is allowed
             require_inside(file.name, file, path, (path, *allowed_folders(None)))
-        with reading(file):
+        with reading(file), _Held(file) as opened:
             try:
                 # For itself: of the deflated syntax dcmread decompresses all, to any size.
-                syntax = pydicom.filereader.read_file_meta_info(file).get("TransferSyntaxUID")
+                pydicom.filereader.read_preamble(opened, False)
+                meta = pydicom.filereader.read_dataset(opened, False, True, stop_when=lambda tag, *_: tag >> 16 != 2)
+                syntax = meta.get("TransferSyntaxUID")
             except pydicom.errors.InvalidDicomError:
                 if not _is_bare(file):
                     continue  # other files lie in such folders too
@@ -81,7 +109,8 @@ def open_images(path: Path, limit: int) -> list[Image]:
             if syntax is not None and ((syntax.is_encapsulated and syntax != RLE) or syntax.is_deflated):
                 remedy = "decompress it first, for example with gdcmconv --raw"
                 raise FileFormatError(f"{path}: {file.name} is compressed ({in_one_line(str(syntax.name))}); {remedy}")
-            header = pydicom.dcmread(file, stop_before_pixels=True, specific_tags=_TAGS, force=True)
+            opened.seek(0)
+            header = pydicom.dcmread(opened, stop_before_pixels=True, specific_tags=_TAGS, force=True)
             if "Rows" not in header:
                 continue  # reports and presentations
             key = str(header.get("SeriesInstanceUID", ""))
@@ -105,9 +134,10 @@ def _is_bare(file: Path) -> bool:
 
 
 def _pixels(one: _Slice, pydicom: Any) -> NDArray[Any]:
-    if not _is_bare(one.file):
-        return np.asarray(pydicom.pixels.pixel_array(one.file, index=one.frame))
-    whole = pydicom.dcmread(one.file, force=True)
+    with _Held(one.file) as opened:
+        if not _is_bare(one.file):
+            return np.asarray(pydicom.pixels.pixel_array(opened, index=one.frame))
+        whole = pydicom.dcmread(opened, force=True)
     uid = pydicom.uid
     by_order = uid.ImplicitVRLittleEndian if whole.original_encoding[0] else uid.ExplicitVRLittleEndian
     whole.file_meta.TransferSyntaxUID = by_order if whole.original_encoding[1] else uid.ExplicitVRBigEndian

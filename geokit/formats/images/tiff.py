@@ -7,6 +7,7 @@ Colors (samples) are components; channels and points in time are grids.
 from __future__ import annotations
 
 import logging
+import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from geokit._packages import require_package
 from geokit._warn import warn
 from geokit.core.files import in_one_line
-from geokit.errors import FileFormatError, MissingDependencyError
+from geokit.errors import FileAccessError, FileFormatError, MissingDependencyError
 from geokit.formats.images.image import (
     METERS,
     Image,
@@ -34,6 +35,7 @@ from geokit.formats.images.image import (
 )
 from geokit.formats.images.stream import rows_at_a_time, slabs_in
 from geokit.formats.reader import process as reader_process
+from geokit.formats.references import allowed_folders, require_inside
 
 __all__ = ["open_images", "prepare", "read_grids", "write_image"]
 
@@ -54,14 +56,22 @@ def prepare() -> None:
 
 
 def read_grids(path: Path, names: list[str]) -> tuple[Any, list[tuple[str, NDArray[Any]]]]:
-    """What the directories say, and the pages with the given numbers (N, Y, X, C), in the separate process."""
+    """What the directories say, or the pages with the given numbers (N, Y, X, C), in the separate process.
+
+    Args:
+        path: The file.
+        names: Numbers of pages, joined by commas, then the folders that references may lead to.
+    """
     tifffile = require_package("tifffile")
     said = _Damage()
     logging.getLogger("tifffile").addHandler(said)
+    refused = _checked_references(tifffile, path, [Path(folder) for folder in names[1:]])
     with _opened(tifffile, path) as file:
         series = file.series[0]
-        if names:
-            return None, [("", _pages(path, series, list(map(int, names))))]
+        if refused:
+            raise refused[0]
+        if names[0]:
+            return None, [("", _pages(path, series, list(map(int, names[0].split(",")))))]
         steps, unit, note = _scale(file)
         facts = {
             "axes": series.axes,
@@ -93,6 +103,28 @@ def _opened(tifffile: Any, path: Path) -> Any:
     return tifffile.TiffFile(path, is_shaped=False)
 
 
+def _checked_references(tifffile: Any, path: Path, folders: list[Path]) -> list[FileAccessError]:
+    """Have tifffile, which follows names in OME and other metadata, open only files that are allowed.
+
+    Returns:
+        Gets the errors, which tifffile keeps: it takes the pages of such a file for zeros.
+    """
+    refused: list[FileAccessError] = []
+    plain = tifffile.TiffFile.__init__
+
+    def checked(self: Any, file: Any, *args: Any, **more: Any) -> None:
+        if file is not path:
+            try:
+                require_inside(os.path.relpath(file, path.parent), Path(file), path, folders)
+            except FileAccessError as error:
+                refused.append(error)
+                raise
+        plain(self, file, *args, **more)
+
+    tifffile.TiffFile.__init__ = checked
+    return refused
+
+
 class _Damage(logging.Handler):
     """Collects what tifffile says of tags that it could not read."""
 
@@ -106,11 +138,11 @@ class _Damage(logging.Handler):
             self.found.append(text)
 
 
-def _ask(path: Path, names: list[str], limit: int) -> tuple[Any, list[tuple[str, NDArray[Any]]]]:
+def _ask(path: Path, pages: str, limit: int) -> tuple[Any, list[tuple[str, NDArray[Any]]]]:
     request = {
         "content": "grids",
         "path": str(path.resolve()),
-        "names": names,
+        "names": [pages, *map(str, allowed_folders(None))],
         "limit": limit,
         "memory": reader_process.LIBRARY_BYTES + reader_process.COPIES * limit,
     }
@@ -119,7 +151,7 @@ def _ask(path: Path, names: list[str], limit: int) -> tuple[Any, list[tuple[str,
 
 def open_images(path: Path, limit: int) -> list[Image]:
     """Read the directories of all pages."""
-    facts, _ = _ask(path, [], FACTS_BYTES)
+    facts, _ = _ask(path, "", FACTS_BYTES)
     axes, sizes, page_count, contiguous = facts["axes"], facts["sizes"], facts["page_count"], facts["offset"]
     dtype = np.dtype(facts["dtype"]) if facts["dtype"] else None
     page_shape, note = tuple(facts["page"]), facts["note"]
@@ -167,7 +199,7 @@ def open_images(path: Path, limit: int) -> list[Image]:
             return
         for first in range(0, shape[2], step):
             rows = order[grid][first : first + step]
-            ((_, pages),) = _ask(path, list(map(str, rows.tolist())), len(rows) * size)[1]
+            ((_, pages),) = _ask(path, ",".join(map(str, rows.tolist())), len(rows) * size)[1]
             if pages.dtype != dtype or pages.size != len(rows) * size // dtype.itemsize:
                 raise FileFormatError(f"{path}: has pages of {pages.dtype} {pages.shape[1:]}; all need to be alike")
             slab = pages.reshape(len(rows), shape[1], shape[0], colors).transpose(2, 1, 0, 3)

@@ -133,6 +133,42 @@ def test_what_is_no_series_is_refused_by_name(tmp_path: Path) -> None:
         path.unlink()
 
 
+@pytest.mark.parametrize("element", [b"\x02\0\x01\0OB\0\0", b"\x08\0\x19\x01UC\0\0"], ids=["read", "skipped"])
+def test_an_element_longer_than_its_file_is_named_before_memory_is_taken(tmp_path: Path, element: bytes) -> None:
+    """Lengths of gigabytes, of what is read and of what is skipped, which would leave out the slice."""
+    write_series(tmp_path / "ct", STRAIGHT, LongCodeValue="a code")
+    path = tmp_path / "ct" / "s0.dcm"
+    content = path.read_bytes()
+    at = content.index(element) + len(element)
+    path.write_bytes(content[:at] + (0xFFFFFFF0).to_bytes(4, "little") + content[at + 4 :])
+    for named in (path, path.parent):
+        with pytest.raises(gk.FileFormatError, match=r"ct/s0\.dcm: ends \d{10} bytes too early; get a whole copy"):
+            gk.volume.load(named)
+
+
+def test_pixels_of_an_old_file_longer_than_it_are_named(tmp_path: Path) -> None:
+    write_series(tmp_path / "ct", STRAIGHT)
+    content = (tmp_path / "ct" / "s0.dcm").read_bytes()
+    at = content.index(b"\xe0\x7f\x10\0OW\0\0") + 8
+    bare = content[content.index(b"\x08\0\x16\0") :]  # without a preamble, as it is read whole
+    (tmp_path / "a.dcm").write_bytes(bare)
+    assert gk.volume.load(tmp_path / "a.dcm").info.active_voxel_count > 10
+    at -= len(content) - len(bare)
+    (tmp_path / "a.dcm").write_bytes(bare[:at] + (0xFFFFFFF0).to_bytes(4, "little") + bare[at + 4 :])
+    with pytest.raises(gk.FileFormatError, match=r"a\.dcm: ends \d{10} bytes too early; get a whole copy"):
+        gk.volume.load(tmp_path / "a.dcm")
+
+
+def test_a_file_meta_of_implicit_types_is_read(tmp_path: Path) -> None:
+    write_series(tmp_path / "ct", STRAIGHT)
+    content = (tmp_path / "ct" / "s0.dcm").read_bytes()
+    elements = {b"\x02\0\x02\0": b"1.2.840.10008.5.1.4.1.1.2\0", b"\x02\0\x10\0": b"1.2.840.10008.1.2.1\0"}
+    meta = b"".join(tag + len(value).to_bytes(4, "little") + value for tag, value in elements.items())
+    (tmp_path / "a.dcm").write_bytes(bytes(128) + b"DICM" + meta + content[content.index(b"\x08\0\x16\0") :])
+    with pytest.warns(UserWarning, match=r"a\.dcm: Expected explicit VR, but found implicit"):
+        assert gk.volume.load(tmp_path / "a.dcm").info.active_voxel_count > 10
+
+
 def test_values_by_a_table_or_a_palette_are_refused(tmp_path: Path) -> None:
     table = pydicom.Dataset()
     table.LUTDescriptor, table.ModalityLUTType, table.LUTData = [2, 0, 16], "HU", bytes(4)
