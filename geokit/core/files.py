@@ -34,6 +34,8 @@ _KINDS = {
 _POINTER = b"version https://git-lfs"
 # Longer extensions, which no format has, are left off the name of the temporary file.
 LONGEST_SUFFIX = 32
+# Most characters of a message about a file, which may quote all of it, and of its end, which says what to do.
+LONGEST, REMEDY = 2000, 300
 
 
 def extension(path: str | os.PathLike[str]) -> str:
@@ -281,8 +283,11 @@ def named_damage(path: Path) -> Iterator[None]:
         # Names of columns, elements and layers are the file's.
         said = str(error.args[0]) if error.args else ""
         start = str(path) if said.startswith(str(path)) else ""
-        if not said[len(start) :].isprintable():
-            error.args = (start + in_one_line(said[len(start) :], None), *error.args[1:])
+        told = said[len(start) :]
+        if len(told) > LONGEST:
+            told = f"{told[: LONGEST - REMEDY]} ... {told[-REMEDY:]}"
+        if start + told != said or not told.isprintable():
+            error.args = (start + in_one_line(told, None), *error.args[1:])
         raise
     except (MemoryError, Warning):
         raise

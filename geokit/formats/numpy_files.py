@@ -7,7 +7,7 @@ import warnings
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from geokit.core.files import in_one_line
 from geokit.errors import FileFormatError, InputError
 from geokit.formats.columns import AXES, Columns, by_place, first_rays, joined
 
-__all__ = ["content_bytes", "read_points", "read_rays", "write_points"]
+__all__ = ["content_bytes", "loaded", "read_points", "read_rays", "write_points"]
 
 # Three rows of as many numbers are the axes of a cloud, not three points.
 MOST_COLUMNS = 100
@@ -47,7 +47,7 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
     """
     if path.suffix.lower() == ".npz":
         return _cloud(path)
-    array = _loaded(path)
+    array = loaded(path)
     if array.dtype.names:
         return joined(_fields(array, path), path)
     table = _table(array, path)
@@ -63,7 +63,7 @@ def read_rays(path: Path) -> NDArray[np.float64]:
         FileFormatError: The content is damaged or has no rays.
     """
     if path.suffix.lower() != ".npz":
-        return first_rays(_table(_loaded(path), path), path)
+        return first_rays(_table(loaded(path), path), path)
     arrays = _archive(path)
     if {"origins", "directions"} <= arrays.keys():
         parts = [np.asarray(arrays[name]) for name in ("origins", "directions")]
@@ -92,17 +92,17 @@ def write_points(path: Path, points: NDArray[np.float64], data: Mapping[str, NDA
                 np.lib.format.write_array(file, np.asanyarray(values), allow_pickle=False)
 
 
-def _loaded(path: Path) -> NDArray[Any]:
-    """The array of an .npy file."""
+def loaded(path: Path, mode: Literal["r"] | None = None) -> NDArray[Any]:
+    """The array of an .npy file, mapped with the mode "r"."""
     try:
         with _silent():
-            array = np.load(path, allow_pickle=False)
+            array = np.load(path, mmap_mode=mode, allow_pickle=False)
     except Exception as error:  # numpy, zipfile, zlib and Python's literal parser raise a dozen kinds of errors
         raise FileFormatError(
             f"{path}: is not a NumPy array ({_line(error)}); write it again with numpy.save"
         ) from None
     if not isinstance(array, np.ndarray):
-        raise FileFormatError(f"{path}: holds an archive; it needs to be a table of numbers, one row for each point")
+        raise FileFormatError(f"{path}: holds an archive; call it .npz")
     return array
 
 
@@ -178,4 +178,6 @@ def _silent() -> Iterator[None]:
 
 
 def _line(error: Exception) -> str:
+    if "pickle" in str(error) or "Python objects" in str(error):  # NumPy says how to run them
+        return "it is of another format, or holds objects of Python"
     return in_one_line(str(error)) or type(error).__name__

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geokit.core.content_limit import content_limit
-from geokit.core.files import extension, refuse_empty, require_file, size_of
+from geokit.core.files import extension, named_damage, refuse_empty, require_file, size_of
 from geokit.core.memory.needs import file_size, needs
 from geokit.core.require import require_choice, require_flag, require_path, require_text
 from geokit.core.user_arrays import require_finite_scalar
@@ -383,7 +383,8 @@ def _images(path: Path, memory_limit: int | None) -> list[Image]:
     if path.is_file():
         refuse_empty(path)
     limit = content_limit(size_of(path), memory_limit)
-    images: list[Image] = image_module(_kind(path)).open_images(path, limit)
+    with named_damage(path):
+        images: list[Image] = image_module(_kind(path)).open_images(path, limit)
     return images
 
 

@@ -73,7 +73,7 @@ def _outcome(target: Target, path: Path, sound: Facts, seed: int) -> str:
     names = {name for name in {*found, *sound} if not name.endswith(" volume")}
     different = sorted(name for name in names if not _equal(found.get(name), sound.get(name)))
     if seed % RARELY.get(target.content, 1) == 0:
-        with contextlib.suppress(GeokitError):
+        with contextlib.suppress(GeokitError), _named_warnings():
             _USES[target.content](path, found, seed)
     # Names of data are the file's: what differs is told without them, and without numbers of grids.
     told = sorted({re.sub(r"^data .*", "data", re.sub(r"^\d+ ", "", name)) for name in different})
@@ -81,15 +81,18 @@ def _outcome(target: Target, path: Path, sound: Facts, seed: int) -> str:
 
 
 @contextlib.contextmanager
-def _named_warnings(path: Path) -> Iterator[None]:
-    """What geokit leaves out of a file, it says in a warning that names the file; any other is printed, a fault."""
+def _named_warnings(path: Path | None = None) -> Iterator[None]:
+    """What geokit leaves out of a file, it says in a warning that names the file; any other is printed, a fault.
+
+    What it says of an operation names no file.
+    """
     with warnings.catch_warnings(record=True) as given:
         warnings.simplefilter("always")
         yield
     for warning in given:
         if warning.category is not UserWarning:
             print(warning, file=sys.stderr)
-        elif str(path) not in str(warning.message) or not str(warning.message).isprintable():
+        elif (path and str(path) not in str(warning.message)) or not str(warning.message).isprintable():
             raise Unsound(f"the warning {str(warning.message)!r} does not name the file in one line of printable text")
 
 

@@ -23,28 +23,11 @@ if TYPE_CHECKING:
     import warp as wp
 
 __all__ = [
-    "arrays_of",
-    "descriptor_of",
-    "descriptor_type",
-    "direct_call",
-    "has_code",
-    "has_failed_to_build",
-    "is_packed",
-    "is_struct",
-    "last_noted_error",
-    "load_module",
-    "mark_modified",
-    "missing",
-    "module_files",
-    "module_folder",
-    "module_name",
-    "native_library",
-    "output_name",
-    "packed_parameters",
-    "parameters",
-    "record_launch",
+    "arrays_of", "descriptor_of", "descriptor_type", "direct_call", "has_code", "has_failed_to_build", "is_packed",
+    "is_struct", "last_noted_error", "load_module", "mark_modified", "missing", "module_files", "module_folder",
+    "module_name", "native_library", "output_name", "packed_parameters", "parameters", "record_launch",
     "tape_in_progress",
-]
+]  # fmt: skip
 
 # Fields of the descriptor by which a kernel sees an array. HostArray fills in the address, shape, strides and ndim.
 DESCRIPTOR = ("data", "grad", "shape", "strides", "ndim", "flags")

@@ -5,7 +5,6 @@ They have no place: voxels are 1 long, and the first one lies at the origin.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,8 +14,9 @@ from numpy.typing import NDArray
 
 from geokit.core.files import refuse_empty
 from geokit.errors import FileFormatError
-from geokit.formats.images.image import Image, fitting_codec, reading, require_three
+from geokit.formats.images.image import Image, fitting_codec, require_three
 from geokit.formats.images.stream import rows_at_a_time
+from geokit.formats.numpy_files import loaded
 
 __all__ = ["is_volume", "open_images", "write_image"]
 
@@ -24,22 +24,15 @@ __all__ = ["is_volume", "open_images", "write_image"]
 def is_volume(path: Path) -> bool:
     """Whether the array of a file has three axes, and not the three coordinates of an image of points."""
     refuse_empty(path)
-    shape = _mapped(path).shape
+    shape = loaded(path, "r").shape
     return len(shape) == 4 or (len(shape) == 3 and shape[2] != 3)
-
-
-def _mapped(path: Path) -> NDArray[Any]:
-    with reading(path), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of headers that Python 2 wrote: they are read all the same
-        array: NDArray[Any] = np.load(path, mmap_mode="r", allow_pickle=False)
-    return array
 
 
 def open_images(path: Path, limit: int) -> list[Image]:
     """Map the array."""
-    array = _mapped(path)
-    if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiub" or array.ndim not in (3, 4):
-        held = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else "an archive"
+    array = loaded(path, "r")
+    if array.dtype.kind not in "fiub" or array.ndim not in (3, 4):
+        held = f"{array.dtype} of shape {array.shape}"
         raise FileFormatError(f"{path}: holds {held}; a volume is (X, Y, Z) or (X, Y, Z, C) of real numbers")
     components = array.shape[3] if array.ndim == 4 else 1
     if components not in (1, 3, 4):

@@ -139,13 +139,7 @@ class _Damage(logging.Handler):
 
 
 def _ask(path: Path, pages: str, limit: int) -> tuple[Any, list[tuple[str, NDArray[Any]]]]:
-    request = {
-        "content": "grids",
-        "path": str(path.resolve()),
-        "names": [pages, *map(str, allowed_folders(None))],
-        "limit": limit,
-        "memory": reader_process.LIBRARY_BYTES + reader_process.COPIES * limit,
-    }
+    request = reader_process._request(path, "grids", limit, [pages, *map(str, allowed_folders(None))])
     return reader_process.ask(path, __name__, request, reader_process.reading_seconds(path), "export it again")
 
 

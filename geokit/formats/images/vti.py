@@ -91,13 +91,7 @@ def read_grids(path: Path, names: list[str]) -> tuple[Any, list[tuple[str, NDArr
 
 def open_images(path: Path, limit: int) -> list[Image]:
     """Read all arrays."""
-    request = {
-        "content": "grids",
-        "path": str(path.resolve()),
-        "names": [],
-        "limit": limit,
-        "memory": reader_process.LIBRARY_BYTES + reader_process.COPIES * limit,
-    }
+    request = reader_process._request(path, "grids", limit, [])
     seconds = reader_process.reading_seconds(path)
     facts, arrays = reader_process.ask(path, __name__, request, seconds, "export it again")
     warn_of(path, facts["left_out"])

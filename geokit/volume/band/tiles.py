@@ -224,6 +224,11 @@ def _checked_box(lattice: Lattice) -> tuple[NDArray[np.int64], NDArray[np.int64]
     # A surface meets a tile for each 8 x 8 voxels of its area; overlapping faces may count four times.
     least = lattice.area() / 256.0 * LEAF_BYTES
     if not (high - low).max() < MOST_TILES:
+        if lattice.reach > scale:  # larger voxels make a band of as many voxels no smaller
+            raise DeviceMemoryError(
+                f"half_width: the band reaches {lattice.reach / size:.3g} voxels far, more than can be counted; use a "
+                "smaller half_width or thickness"
+            )
         enough = max(2.0 * scale / (8.0 * MOST_TILES), scale * math.sqrt(least / max(lattice.free, 1.0)))
         raise DeviceMemoryError(
             f"voxel_size: {size:g} makes the mesh {2.0 * scale / size:.3g} voxels across, more than can be counted; "

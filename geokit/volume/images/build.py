@@ -131,7 +131,8 @@ def _plan(image: Image, path: Path, grid_type: str | None = None) -> _Plan:
     grid_class = note.get("class") if note.get("class") in GRID_CLASSES else "unknown"
     start = _first_index(note)
     try:
-        transform = checked_transform(image.transform @ affine(np.eye(3), -start.astype(np.float64)))
+        with np.errstate(invalid="ignore", over="ignore"):  # of numbers that are not finite, or hardly
+            transform = checked_transform(image.transform @ affine(np.eye(3), -start.astype(np.float64)))
     except InputError:
         text = np.array2string(image.transform[:3], separator=",").replace("\n", "")
         raise FileFormatError(f"{path}: the transform of its voxels, {text}, is not finite and invertible") from None

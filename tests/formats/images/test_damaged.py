@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import pickle
 import struct
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 import geokit as gk
+from geokit.core.files import named_damage
 from geokit.formats.table import SPARSE, STAGES, extensions, image_module
 from tests.formats.images.needed import need
 from tests.formats.images.test_places import STRAIGHT, VALUES, volume_at
@@ -145,3 +147,58 @@ def test_names_types_and_backgrounds_come_back(tmp_path: Path, kind: str) -> Non
     found, wanted = (gk.volume.to_dense(one, device="cpu") for one in (again, volume))
     np.testing.assert_array_equal(found.values, wanted.values)
     np.testing.assert_array_equal(found.origin, wanted.origin)
+
+
+def test_what_a_message_quotes_is_cut(tmp_path: Path) -> None:
+    """Headers of any length: the message keeps its begin, which names the file, and its end, which says what to do."""
+    pytest.importorskip("nrrd")
+    path = tmp_path / "a.nrrd"
+    sizes = " ".join(["1"] * 100_000)
+    path.write_text(f"NRRD0005\ntype: uint8\ndimension: 100000\nsizes: {sizes}\nencoding: raw\n\n")
+    for call in (gk.volume.load, gk.volume.inspect):
+        with pytest.raises(
+            gk.FileFormatError, match=r"among sizes \[1, 1, .* \.\.\. .*; save x, y, z next to"
+        ) as error:
+            call(path)
+        assert len(str(error.value)) < 2100 + len(str(path))
+    with pytest.raises(gk.FileFormatError) as error, named_damage(path):
+        raise gk.FileFormatError(f"{path}: is {'x' * 100_000}; {'correct it ' * 10}")
+    assert str(error.value).startswith(f"{path}: is xxx")
+    assert str(error.value).endswith("correct it")
+    assert len(str(error.value)) < 2100 + len(str(path))
+
+
+@pytest.mark.parametrize(
+    ("matrix", "origin", "spacing"),
+    [
+        ("inf 0 0 0 1 0 0 0 1", "0 0 0", "1 1 1"),
+        ("1 0 0 0 1 0 0 0 1", "0 nan 0", "1 1 1"),
+        ("1 0 0 0 1 0 0 0 1", "0 0 inf", "inf 1 1"),
+        ("1e308 1e308 0 0 1 0 0 0 1", "0 0 1e308", "1e308 1 1"),
+    ],
+)
+def test_places_that_are_not_finite_are_refused_without_warnings(
+    tmp_path: Path, matrix: str, origin: str, spacing: str
+) -> None:
+    path = tmp_path / "a.mha"
+    path.write_bytes(
+        f"NDims = 3\nTransformMatrix = {matrix}\nOffset = {origin}\nElementSpacing = {spacing}\nDimSize = 2 2 2\n"
+        "ElementType = MET_UCHAR\nElementDataFile = LOCAL\n".encode()
+        + bytes(range(8))
+    )
+    for call in (gk.volume.load, gk.volume.inspect):
+        with pytest.raises(gk.FileFormatError, match=r"a\.mha: the transform of its voxels, .*, is not finite"):
+            call(path)
+
+
+def test_objects_of_python_are_refused_without_a_word_of_how_to_run_them(tmp_path: Path) -> None:
+    path = tmp_path / "a.npy"
+    for content in (np.array([{}, None], object), None):
+        np.save(path, content, allow_pickle=True) if content is not None else path.write_bytes(pickle.dumps([1, 2]))
+        for call in (gk.volume.load, gk.points.load, gk.points.load_rays):
+            with pytest.raises(gk.FileFormatError, match=r"a\.npy: .*or holds objects of Python") as error:
+                call(path)
+            assert "pickle" not in str(error.value)
+    np.savez(tmp_path / "a.npz", points=np.array([{}, None], object))
+    with pytest.raises(gk.FileFormatError, match=r"a\.npz: .*or holds objects of Python"):
+        gk.points.load(tmp_path / "a.npz")

@@ -426,6 +426,13 @@ def test_voxels_too_small_for_the_memory_name_a_size_that_fits(voxel_size):
 
 
 @pytest.mark.slow
+def test_a_half_width_beyond_counting_is_named():
+    """Larger voxels would make the band no smaller."""
+    message = r"half_width: the band reaches 1e\+09 voxels far.*; use a smaller half_width"
+    with pytest.raises(DeviceMemoryError, match=message):
+        volume.from_mesh(mesh_catalog.torus(12, 8), 0.1, half_width=1e9, device="cpu")
+
+
 def test_a_grid_has_at_most_2_33_bytes(monkeypatch):
     from geokit.core.memory import available_memory
 
