@@ -8,7 +8,7 @@ from __future__ import annotations
 import importlib
 from typing import Any, NamedTuple
 
-from geokit.core.running.interrupts import signals_held
+from geokit.core.base.interrupts import signals_held
 from geokit.errors import MissingDependencyError
 
 __all__ = ["PACKAGES", "Package", "remedy", "require_package"]

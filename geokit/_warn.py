@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import warnings
 
-from geokit.core.printable import in_one_line
+from geokit.core.base.printable import in_one_line
 
 __all__ = ["warn"]
 

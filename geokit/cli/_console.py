@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
-from geokit.core.printable import printable
+from geokit.core.base.printable import printable
 
 __all__ = ["announce_compiling", "at_end", "note", "print_facts", "print_json", "print_table", "say", "step"]
 

@@ -11,7 +11,7 @@ import warnings
 
 from geokit._packages import require_package
 from geokit.cli._console import at_end
-from geokit.core.printable import printable
+from geokit.core.base.printable import printable
 from geokit.errors import GeokitError
 
 __all__ = ["run", "show_warning", "usage_message"]

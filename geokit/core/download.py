@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geokit.core import launcher
-from geokit.core.forks import renew_after_fork
+from geokit.core.base.forks import renew_after_fork
 from geokit.core.memory.host_array import row_of
 from geokit.core.memory.memory_pool import MemoryPool
 from geokit.core.running.thread_placement import Calls

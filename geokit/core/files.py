@@ -10,10 +10,10 @@ import stat
 from collections.abc import Iterator
 from pathlib import Path
 
-from geokit.core.printable import in_one_line
-from geokit.core.private_folder import private_folder
+from geokit.core.base.interrupts import ATTEMPTS
+from geokit.core.base.printable import in_one_line
+from geokit.core.base.private_folder import private_folder
 from geokit.core.require import require_path
-from geokit.core.running.interrupts import ATTEMPTS
 from geokit.errors import FileAccessError, FileFormatError, GeokitError, InputError
 
 __all__ = [

@@ -20,12 +20,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from geokit.core.base.private_folder import OTHERS, distrust, make_own, remove_folder, require_trusted, temporary_parent
 from geokit.core.compiled import cpu_level, shipped
 from geokit.core.compiled.shipped import Shipped, digest_of
 from geokit.core.launches import warp_private
 from geokit.core.memory.available_memory import available_host
 from geokit.core.memory.needs import is_out_of_memory, require_free
-from geokit.core.private_folder import OTHERS, distrust, make_own, remove_folder, require_trusted, temporary_parent
 from geokit.errors import DeviceMemoryError, FileAccessError, InputError
 
 if TYPE_CHECKING:

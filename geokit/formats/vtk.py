@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from geokit._packages import require_package
 from geokit._warn import warn
-from geokit.core.forks import Lock
+from geokit.core.base.forks import Lock
 from geokit.errors import FileFormatError
 from geokit.formats.attributes.columns import xml_name
 from geokit.formats.body import Body

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.base.forks import Lock
 from geokit.core.download import download
-from geokit.core.forks import Lock
 from geokit.core.memory.pinned import host_arrays
 from geokit.mesh._model import TriangleMesh
 

@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core.base.snapshot import snapshot
 from geokit.core.gradients.differentiable import of_constants
 from geokit.core.interop.types import Device, MeshLike
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_count, require_one_world
-from geokit.core.snapshot import snapshot
 from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
 from geokit.mesh._model import TriangleMesh

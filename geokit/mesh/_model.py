@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geokit.core.base.object_cache import CacheAttribute
 from geokit.core.interop.notebook import repr_html, show
 from geokit.core.memory.needs import needs
-from geokit.core.object_cache import CacheAttribute
 from geokit.core.require import (
     described,
     read_array,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geokit.core import launcher
+from geokit.core.base.object_cache import CacheAttribute
 from geokit.core.blocks.several_devices import OnDevices, replicas, shares, shows_arguments
 from geokit.core.frame import Frame
 from geokit.core.gradients.rules import hold, split
@@ -16,7 +17,6 @@ from geokit.core.interop.types import Devices, MeshLike
 from geokit.core.memory import available_memory
 from geokit.core.memory.needs import needs
 from geokit.core.memory.unchecked import allocating
-from geokit.core.object_cache import CacheAttribute
 from geokit.core.require import read_array
 from geokit.errors import DeviceMemoryError, InputError
 from geokit.mesh._device_mesh import arrays_on

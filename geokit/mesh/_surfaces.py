@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geokit.core import launcher, user_arrays
+from geokit.core.base.object_cache import CacheAttribute
 from geokit.core.gradients.differentiable import differentiable
 from geokit.core.gradients.rules import hold, is_tracked, split
 from geokit.core.interop.types import Device, Rows
@@ -18,7 +19,6 @@ from geokit.core.memory.host_array import HostArray
 from geokit.core.memory.needs import needs, rows
 from geokit.core.memory.pinned import host_flags
 from geokit.core.memory.struct_array import struct_array, struct_rows
-from geokit.core.object_cache import CacheAttribute
 from geokit.core.poses.move import BYTES_PER_MOVE, move_packed, require_rigid_maps
 from geokit.core.poses.placed import without_gradients
 from geokit.core.require import described, read_array, require_choice, require_count, require_items

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit._warn import warn
-from geokit.core.private_folder import temporary_parent
-from geokit.core.running.interrupts import child_process
+from geokit.core.base.interrupts import child_process
+from geokit.core.base.private_folder import temporary_parent
 from geokit.errors import FileAccessError, FileFormatError, WorkerError
 from geokit.native._metadata import raw
 

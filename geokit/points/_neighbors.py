@@ -11,8 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.base.forks import Lock
+from geokit.core.base.object_cache import CacheAttribute
+from geokit.core.base.snapshot import on_snapshot
 from geokit.core.blocks.several_devices import OnDevices, replicas, shares, shows_arguments
-from geokit.core.forks import Lock
 from geokit.core.gradients.differentiable import differentiable, undifferentiable
 from geokit.core.gradients.rules import hold, split
 from geokit.core.interop.types import Devices, Rows
@@ -20,10 +22,8 @@ from geokit.core.launches import replay
 from geokit.core.launches.replay import replayed
 from geokit.core.memory import available_memory
 from geokit.core.memory.needs import needs, rows
-from geokit.core.object_cache import CacheAttribute
 from geokit.core.require import require_count, require_flag
 from geokit.core.scan import row_offsets
-from geokit.core.snapshot import on_snapshot
 from geokit.core.user_arrays import LARGEST_MEASURED, Batch, read_vectors, require_finite
 from geokit.errors import DeviceMemoryError, InputError
 from geokit.points.search import radius as search

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 from geokit.core import launcher
-from geokit.core.forks import renew_after_fork
+from geokit.core.base.forks import renew_after_fork
 from geokit.core.interop.types import Device
 from geokit.core.launches import warp_private
 from geokit.core.require import require_callable, require_count, require_instance, require_items

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher, user_arrays
+from geokit.core.base.object_cache import CacheAttribute
 from geokit.core.gradients.differentiable import differentiable, of_constants
 from geokit.core.interop.types import Device, MeshLike, Rows
 from geokit.core.launches.replay import replayed
 from geokit.core.memory.needs import file_size, needs, rows
 from geokit.core.memory.pinned import host_flags
-from geokit.core.object_cache import CacheAttribute
 from geokit.core.require import require_count, require_items, require_text
 from geokit.errors import DeviceMemoryError, FileFormatError, InputError
 from geokit.volume._io import load_all, save

@@ -23,8 +23,8 @@ from tests.house.test_rooms import FORWARDING, PACKAGE, edges
 # to verbs. Annotations of public names with Any.
 MOST_FILES = 26
 CEILINGS = {
-    "lines": 117580,
-    "files in core": 33,
+    "lines": 117600,
+    "files in core": 28,
     "files in mesh/bvh": 55,
     "files in mesh/queries": 35,
     "files in native/src": 42,
@@ -34,7 +34,7 @@ CEILINGS = {
     "files in volume/rays": 42,
     "files in volume/sampling": 30,
     "files in volume/tree": 40,
-    "folders in knots": 40,
+    "folders in knots": 36,
     "files in import circles": 33,
     "public arguments with Any": 55,
     "public returns with Any": 48,

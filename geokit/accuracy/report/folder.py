@@ -13,9 +13,9 @@ from geokit.accuracy.report.table import read_table, write_table
 from geokit.accuracy.trials.machine import machine_facts, machine_line, version_facts
 from geokit.accuracy.trials.model import Measurement
 from geokit.accuracy.trials.results import Failure, Group, Results, grouped
+from geokit.core.base.private_folder import private_folder
 from geokit.core.files import is_there
 from geokit.core.memory.needs import needs
-from geokit.core.private_folder import private_folder
 from geokit.core.require import require_choice, require_flag, require_items, require_path
 from geokit.errors import FileAccessError, GeokitError, InputError
 from geokit.render._checks import FLAT

@@ -25,9 +25,9 @@ from typing import Any
 from geokit.cli._batches.recipe import Recipe, is_made, output_names, refusal_of
 from geokit.cli._batches.task import DONE, OUTPUTS, RECORD, WORK, key_of
 from geokit.cli._batches.worker import versions
+from geokit.core.base.printable import printable
+from geokit.core.base.private_folder import make_own, remove_folder
 from geokit.core.files import atomic_path
-from geokit.core.printable import printable
-from geokit.core.private_folder import make_own, remove_folder
 from geokit.core.running.thread_placement import Pool
 from geokit.errors import FileAccessError, FileFormatError, InputError
 

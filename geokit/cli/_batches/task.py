@@ -36,8 +36,8 @@ from geokit.cli._batches.recipe import GLOBAL, Step, is_made, names_of, output_n
 from geokit.cli._batches.worker import versions
 from geokit.cli._console import at_end
 from geokit.cli._run import show_warning, usage_message
+from geokit.core.base.private_folder import private_folder
 from geokit.core.files import in_one_line, require_file
-from geokit.core.private_folder import private_folder
 from geokit.core.running.answers import take_stdout
 from geokit.errors import GeokitError
 

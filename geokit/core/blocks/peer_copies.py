@@ -9,7 +9,7 @@ import ctypes
 import functools
 from typing import TYPE_CHECKING
 
-from geokit.core.forks import Lock
+from geokit.core.base.forks import Lock
 from geokit.core.launches.cuda_driver import cuda_driver
 
 if TYPE_CHECKING:

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 import numpy as np
 
 from geokit.core import launcher
+from geokit.core.base.snapshot import snapshot
 from geokit.core.blocks.shared_rows import Question
 from geokit.core.gradients.rules import held_by, is_tracked
-from geokit.core.snapshot import snapshot
 from geokit.errors import InputError
 
 if TYPE_CHECKING:

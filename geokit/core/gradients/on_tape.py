@@ -14,12 +14,12 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from geokit.core.base.snapshot import snapshot
 from geokit.core.gradients.rules import Asked, Call, is_tracked, untracked
 from geokit.core.gradients.with_numpy import Followed, plain, pulled, pulled_back
 from geokit.core.interop.arrays import detached, reinterpreted
 from geokit.core.launches import warp_private
 from geokit.core.require import read_array
-from geokit.core.snapshot import snapshot
 from geokit.errors import InputError
 
 __all__ = ["attach", "derived"]

@@ -8,11 +8,11 @@ from typing import Any
 
 import torch
 
+from geokit.core.base.snapshot import snapshot
 from geokit.core.gradients.library import Library
 from geokit.core.gradients.rules import Asked, Call, Rule, untracked
 from geokit.core.launches.late_checks import AtEnd
 from geokit.core.require import read_array
-from geokit.core.snapshot import snapshot
 from geokit.errors import InputError
 
 __all__ = ["LIBRARY", "attach", "by_kernel", "pulled"]

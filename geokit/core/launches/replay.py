@@ -27,9 +27,9 @@ from typing import Any, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 
+from geokit.core.base.object_cache import ObjectCache
 from geokit.core.launches import warp_private
 from geokit.core.launches.launch_cache import launch_argument
-from geokit.core.object_cache import ObjectCache
 
 __all__ = ["Recorder", "current", "refuse", "replayed"]
 
@@ -63,8 +63,8 @@ def replayed(rows: int = 1) -> Callable[[Callable[_Arguments, _Answer]], Callabl
 
     Args:
         rows: Number of the arguments after the first that are rows, (N, 3). The first argument is the object that is
-            queried. It keeps the recordings in ``_cache`` (:class:`geokit.core.object_cache.CacheAttribute`): they end
-            with it, and when it is cleared.
+            queried. It keeps the recordings in ``_cache`` (:class:`geokit.core.base.object_cache.CacheAttribute`): they
+            end with it, and when it is cleared.
     Returns:
         The decorator.
     """

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from geokit.core.forks import renew_after_fork
+from geokit.core.base.forks import renew_after_fork
 
 __all__ = ["Memory", "MemoryPool"]
 

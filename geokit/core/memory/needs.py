@@ -15,7 +15,7 @@ import traceback
 from collections.abc import Callable, Sequence
 from typing import Any, ParamSpec, TypeVar
 
-from geokit.core.forks import renew_after_fork
+from geokit.core.base.forks import renew_after_fork
 from geokit.core.memory import available_memory
 from geokit.errors import LARGEST_NEED, DeviceMemoryError, GeokitError, InputError
 

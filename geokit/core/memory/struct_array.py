@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core.forks import Lock
+from geokit.core.base.forks import Lock
 
 if TYPE_CHECKING:
     import warp as wp

@@ -1,1 +1,1 @@
-"""Threads and processes that work for a call, and what an interrupt of it leaves."""
+"""Threads and processes that work for a call."""

@@ -16,8 +16,8 @@ from collections.abc import Callable, Iterable, Sequence
 from queue import Empty, SimpleQueue
 from typing import Any, TypeVar
 
+from geokit.core.base.interrupts import signals_held
 from geokit.core.memory.available_memory import available_host
-from geokit.core.running.interrupts import signals_held
 
 __all__ = ["Calls", "Pool"]
 

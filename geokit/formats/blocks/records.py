@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core.private_folder import private_folder
+from geokit.core.base.private_folder import private_folder
 from geokit.errors import FileAccessError
 
 __all__ = [

@@ -35,7 +35,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core.running.interrupts import child_process
+from geokit.core.base.interrupts import child_process
 from geokit.formats.reader import worker as reader_worker
 
 __all__ = ["Ended", "Exchange", "TimeExpired", "exchange", "status_name"]

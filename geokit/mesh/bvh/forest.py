@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
-from geokit.core.forks import Lock
+from geokit.core.base.forks import Lock
 from geokit.core.memory.host_array import HostArray
 from geokit.core.memory.struct_array import Parts, struct_array, struct_table
 

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher, user_arrays
+from geokit.core.base.snapshot import on_snapshot, snapshot
 from geokit.core.interop.types import Rows
 from geokit.core.memory import available_memory
 from geokit.core.memory.needs import needs, rows
 from geokit.core.memory.pinned import host_flags
 from geokit.core.memory.unchecked import sort_pairs
 from geokit.core.require import require_one_world
-from geokit.core.snapshot import on_snapshot, snapshot
 from geokit.errors import DeviceMemoryError, InputError
 
 if TYPE_CHECKING:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geokit.core import launcher, user_arrays
+from geokit.core.base.snapshot import on_snapshot
 from geokit.core.blocks.chunked_queries import Progress, in_chunks
 from geokit.core.gradients.differentiable import differentiable, undifferentiable
 from geokit.core.gradients.rules import untracked
@@ -21,7 +22,6 @@ from geokit.core.memory.needs import needs, rows
 from geokit.core.memory.pinned import host_flags
 from geokit.core.poses.placed import placed
 from geokit.core.require import require_unrecorded
-from geokit.core.snapshot import on_snapshot
 from geokit.mesh.attributes.interpolation import chosen_names, interpolated, interpolation_bytes
 from geokit.mesh.topology.size_limits import require_measurable
 

@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from geokit.core import launcher, user_arrays
+from geokit.core.base.snapshot import on_snapshot
 from geokit.core.blocks.chunked_queries import Progress, in_chunks
 from geokit.core.gradients.differentiable import differentiable, undifferentiable
 from geokit.core.interop.types import Rows
@@ -17,7 +18,6 @@ from geokit.core.memory.needs import needs, rows
 from geokit.core.memory.pinned import host_flags
 from geokit.core.poses.placed import placed
 from geokit.core.scan import row_offsets
-from geokit.core.snapshot import on_snapshot
 from geokit.errors import InputError
 from geokit.mesh.topology.size_limits import require_measurable
 

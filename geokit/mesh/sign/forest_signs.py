@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core.base.forks import Lock
 from geokit.core.equal_rows import merge_equal_points, repeated_triples
-from geokit.core.forks import Lock
 from geokit.core.memory.struct_array import struct_rows, struct_table
 from geokit.mesh._model import trusted_mesh
 from geokit.mesh.queries.forest_pairs import self_intersecting

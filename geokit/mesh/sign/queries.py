@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from geokit._warn import warn
 from geokit.core import launcher, user_arrays
+from geokit.core.base.snapshot import on_snapshot
 from geokit.core.blocks.chunked_queries import Progress, in_chunks
 from geokit.core.gradients.differentiable import differentiable, undifferentiable
 from geokit.core.interop.types import Rows
@@ -21,7 +22,6 @@ from geokit.core.memory.needs import needs, rows
 from geokit.core.memory.pinned import host_flags
 from geokit.core.poses.placed import placed
 from geokit.core.require import require_choice, require_flag
-from geokit.core.snapshot import on_snapshot
 from geokit.mesh.queries.points import ClosestPoints, PointQueries, checked_radius, refuse_raised
 from geokit.mesh.topology.size_limits import require_measurable
 

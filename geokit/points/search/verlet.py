@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geokit.core import launcher
-from geokit.core.forks import Lock
+from geokit.core.base.forks import Lock
 from geokit.core.memory import host_pool
 from geokit.core.scan import row_offsets
 from geokit.points.search import radius as search

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from geokit.core import launcher
+from geokit.core.base.private_folder import private_folder
 from geokit.core.blocks.chunked_queries import Progress, in_percent
 from geokit.core.files import atomic_path, require_extension, require_room
 from geokit.core.interop.types import Device
 from geokit.core.memory.available_memory import available
 from geokit.core.memory.needs import needs
-from geokit.core.private_folder import private_folder
 from geokit.core.require import require_flag, require_mapping, require_path
 from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError

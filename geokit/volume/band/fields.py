@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from geokit._warn import warn
 from geokit.core import launcher, user_arrays
+from geokit.core.base.snapshot import snapshot
 from geokit.core.interop.types import MeshLike
 from geokit.core.require import described, require_choice
-from geokit.core.snapshot import snapshot
 from geokit.errors import InputError, MissingDependencyError
 from geokit.mesh.sign.queries import SIGN_METHODS
 from geokit.volume._model import SparseVolume, made_on_device

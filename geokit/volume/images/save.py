@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit._warn import warn
+from geokit.core.base.private_folder import private_folder
 from geokit.core.files import atomic_path, extension, is_there
-from geokit.core.private_folder import private_folder
 from geokit.errors import FileAccessError, GeokitError, InputError
 from geokit.formats.images.image import LARGEST_COSINE, METERS, Image, affine
 from geokit.formats.images.stream import rows_at_a_time

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit._warn import warn
+from geokit.core.base.private_folder import private_folder, temporary_parent
 from geokit.core.files import atomic_path, extension
-from geokit.core.private_folder import private_folder, temporary_parent
 from geokit.core.require import require_one_world
 from geokit.errors import FileFormatError, GeokitError, InputError, UnsupportedGridError
 from geokit.formats.reader import process, trusted

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from geokit.core.private_folder import private_folder
+from geokit.core.base.private_folder import private_folder
 from geokit.formats.blocks.triangles import TriangleFile
 from geokit.formats.blocks.workers import in_turn
 from geokit.volume.streamed.cell_band import CellBands

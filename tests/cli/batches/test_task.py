@@ -15,7 +15,7 @@ from geokit.cli._batches import task
 from geokit.cli._batches.recipe import read_recipe
 from geokit.cli._batches.task import DONE, OUTPUTS, RECORD, WORK, key_of, run_task
 from geokit.cli._batches.worker import versions
-from geokit.core.private_folder import LOCK
+from geokit.core.base.private_folder import LOCK
 from geokit.mesh import load
 
 RECIPE = '[[step]]\nverb = "convert"\noutput = "{stem}.off"\n'

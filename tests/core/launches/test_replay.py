@@ -15,8 +15,8 @@ import pytest
 
 import geokit as gk
 from benchmarks.catalog import mesh_catalog
+from geokit.core.base.object_cache import CacheAttribute
 from geokit.core.launches import replay
-from geokit.core.object_cache import CacheAttribute
 from geokit.errors import InputError
 from tests.support.devices import DEVICES
 

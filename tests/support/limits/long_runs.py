@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.catalog.mesh_catalog import icosphere, moved
-from geokit.core.private_folder import LOCK
+from geokit.core.base.private_folder import LOCK
 from geokit.mesh import save
 
 __all__ = ["convert_many"]

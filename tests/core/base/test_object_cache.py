@@ -18,7 +18,7 @@ import pytest
 import geokit
 from benchmarks.catalog import mesh_catalog
 from benchmarks.catalog.sphere_volumes import sphere
-from geokit.core.object_cache import ObjectCache
+from geokit.core.base.object_cache import ObjectCache
 
 
 class Result:
@@ -115,4 +115,4 @@ def test_what_a_field_asks_of_a_mesh_is_kept_with_the_mesh():
 def test_no_module_hides_attributes_of_objects_elsewhere():
     files = Path(geokit.__file__).parent.rglob("*.py")
     found = [str(path) for path in files if re.search(r"WeakKeyDictionary", path.read_text())]
-    assert not found, f"keep these with their objects, see core/object_cache.py: {found}"
+    assert not found, f"keep these with their objects, see core/base/object_cache.py: {found}"

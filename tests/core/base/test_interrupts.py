@@ -9,8 +9,9 @@ import threading
 
 import pytest
 
-from geokit.core import download, forks
-from geokit.core.running.interrupts import child_process, signals_held
+from geokit.core import download
+from geokit.core.base import forks
+from geokit.core.base.interrupts import child_process, signals_held
 from tests.support.effort import of_all
 from tests.support.interrupts import children, interrupts
 

@@ -21,7 +21,7 @@ import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
-from geokit.core.running.interrupts import ATTEMPTS
+from geokit.core.base.interrupts import ATTEMPTS
 from geokit.errors import FileAccessError, InputError
 
 __all__ = ["distrust", "make_own", "private_folder", "remove_folder", "require_trusted", "temporary_parent"]

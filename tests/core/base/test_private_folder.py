@@ -18,9 +18,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from geokit.core import private_folder as module
-from geokit.core.files import atomic_path
-from geokit.core.private_folder import (
+from geokit.core.base import private_folder as module
+from geokit.core.base.private_folder import (
     FOREIGN_SECONDS,
     LOCK,
     PREFIX,
@@ -30,13 +29,14 @@ from geokit.core.private_folder import (
     require_trusted,
     temporary_parent,
 )
+from geokit.core.files import atomic_path
 from geokit.errors import FileAccessError, InputError
 from tests.support.forked import forked
 from tests.support.interrupts import interrupted, interrupts
 
 HOLDER = """
 import sys, time
-from geokit.core.private_folder import private_folder
+from geokit.core.base.private_folder import private_folder
 with private_folder(sys.argv[1]) as folder:
     (folder / "part.bin").write_bytes(bytes(1000))
     print(folder, flush=True)
