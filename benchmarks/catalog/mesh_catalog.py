@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from geokit.mesh._model import MeshPart, TriangleMesh
+from geokit.mesh.model.triangle_mesh import MeshPart, TriangleMesh
 
 __all__ = [
     "CLOSED",

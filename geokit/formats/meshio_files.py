@@ -18,11 +18,11 @@ from geokit.formats.attributes.columns import as_columns, from_columns, xml_name
 from geokit.formats.body import Body
 from geokit.formats.exchange.gmsh import is_gmsh, read_gmsh
 from geokit.formats.exchange.xdmf import read_grid
-from geokit.mesh._data import full_scale, has_meaning
+from geokit.mesh.model.data import full_scale, has_meaning
 
 if TYPE_CHECKING:
-    from geokit.mesh._data import Data
-    from geokit.mesh._model import TriangleMesh
+    from geokit.mesh.model.data import Data
+    from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = ["holds_type", "named", "prepare", "read_mesh", "write_mesh"]
 

@@ -19,11 +19,11 @@ from geokit.formats.columns import Columns
 from geokit.formats.text import point_lines
 from geokit.formats.text_files.plain import plain_text
 from geokit.formats.text_files.words import as_number, numbers
-from geokit.mesh._data import full_scale
 from geokit.mesh.attributes.seams import distinct_corners
+from geokit.mesh.model.data import full_scale
 
 if TYPE_CHECKING:
-    from geokit.mesh._model import TriangleMesh
+    from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = ["companions", "companions_of", "read_mesh", "read_points", "write_mesh"]
 

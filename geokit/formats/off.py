@@ -15,10 +15,10 @@ from geokit.formats.body import Body
 from geokit.formats.text import point_lines
 from geokit.formats.text_files.plain import plain_text
 from geokit.formats.text_files.words import numbers
-from geokit.mesh._data import full_scale
+from geokit.mesh.model.data import full_scale
 
 if TYPE_CHECKING:
-    from geokit.mesh._model import TriangleMesh
+    from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = ["read_mesh", "write_mesh"]
 

@@ -23,10 +23,10 @@ from geokit.formats.columns import AXES, Columns, joined, split
 from geokit.formats.text_files.decimal import SMALLEST, plain_rows
 from geokit.formats.text_files.plain import plain_text
 from geokit.formats.text_files.words import as_number, numbers
-from geokit.mesh._data import as_bytes, has_meaning
+from geokit.mesh.model.data import as_bytes, has_meaning
 
 if TYPE_CHECKING:
-    from geokit.mesh._model import TriangleMesh
+    from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = [
     "holds_type",

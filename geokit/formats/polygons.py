@@ -13,7 +13,7 @@ from geokit.errors import FileFormatError, InputError
 from geokit.formats.attributes.joined import JoinedData
 from geokit.formats.body import Body
 from geokit.formats.ears import clip_ears
-from geokit.mesh._model import MeshPart, TriangleMesh
+from geokit.mesh.model.triangle_mesh import MeshPart, TriangleMesh
 
 __all__ = ["join", "triangulate"]
 

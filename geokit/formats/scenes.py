@@ -23,7 +23,7 @@ from geokit.formats.references import LONGEST, require_inside
 from geokit.formats.scene_content.gltf import is_animated, require_whole, understood
 
 if TYPE_CHECKING:
-    from geokit.mesh._model import TriangleMesh
+    from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = ["holds_texture", "holds_type", "prepare", "read_mesh", "write_mesh"]
 

@@ -16,7 +16,7 @@ from geokit.formats.text_files.plain import plain_text
 from geokit.formats.text_files.words import numbers
 
 if TYPE_CHECKING:
-    from geokit.mesh._model import TriangleMesh
+    from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = ["HEADER_BYTES", "RECORD", "binary_count", "left_behind", "read_mesh", "write_mesh"]
 

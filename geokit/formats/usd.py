@@ -20,7 +20,7 @@ from geokit.formats.scene_content.usd_times import is_animated, time_of, value_o
 
 if TYPE_CHECKING:
     from geokit.formats.scene_content.usd_materials import Bound, Materials
-    from geokit.mesh._model import TriangleMesh
+    from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = [
     "companions",
@@ -535,7 +535,7 @@ def _write_array(prim: Any, name: str, values: Any, interpolation: str, *, is_ti
     from pxr import Sdf, UsdGeom, Vt
 
     from geokit.formats.attributes.columns import as_columns
-    from geokit.mesh._data import full_scale, has_meaning
+    from geokit.mesh.model.data import full_scale, has_meaning
 
     primvars, types = UsdGeom.PrimvarsAPI(prim), Sdf.ValueTypeNames
 

@@ -19,10 +19,10 @@ from geokit.core.base.forks import Lock
 from geokit.errors import FileFormatError
 from geokit.formats.attributes.columns import xml_name
 from geokit.formats.body import Body
-from geokit.mesh._data import has_meaning
+from geokit.mesh.model.data import has_meaning
 
 if TYPE_CHECKING:
-    from geokit.mesh._model import TriangleMesh
+    from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = [
     "holds_name",

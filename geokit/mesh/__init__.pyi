@@ -1,6 +1,6 @@
 # The mesh itself, and files.
-from ._model import TriangleMesh as TriangleMesh, MeshPart as MeshPart
-from ._data import Material as Material, Texture as Texture
+from .model.triangle_mesh import TriangleMesh as TriangleMesh, MeshPart as MeshPart
+from .model.data import Material as Material, Texture as Texture
 from ._io import load as load, save as save
 
 # Meshes of other libraries, in and out.

@@ -7,8 +7,8 @@ from dataclasses import replace
 from geokit.core.interop.types import MeshLike
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_flag
-from geokit.mesh._model import TriangleMesh
 from geokit.mesh._objects import require_mesh
+from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.topology.audit import MeshAudit, audit_topology
 from geokit.mesh.topology.connectivity import mesh_topology
 

@@ -15,14 +15,14 @@ from geokit.formats.attributes.held import what_is_held
 from geokit.formats.attributes.images import picture_of, pixels_of
 from geokit.formats.attributes.objects import UNITS
 from geokit.formats.table import Format
-from geokit.mesh._data import full_scale, has_meaning
 from geokit.mesh._objects import require_mesh
 from geokit.mesh.attributes.derived import with_data
 from geokit.mesh.attributes.seams import split_seams
+from geokit.mesh.model.data import full_scale, has_meaning
 
 if TYPE_CHECKING:
-    from geokit.mesh._data import Material
-    from geokit.mesh._model import TriangleMesh
+    from geokit.mesh.model.data import Material
+    from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = ["to_meshio", "to_open3d", "to_pyvista", "to_trimesh"]
 

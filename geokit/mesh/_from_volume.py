@@ -13,8 +13,8 @@ from geokit.core.interop.types import Device
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_callable, require_choice, require_number
 from geokit.errors import InputError, UnsupportedGridError
-from geokit.mesh._model import TriangleMesh
 from geokit.mesh._simplify import BYTES_PER_SIMPLIFIED
+from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.volume._statistics import statistics
 from geokit.volume.nanovdb.types import ISOSURFACE_TYPES, TYPES
 from geokit.volume.tree.leaves import require_volume
@@ -133,7 +133,7 @@ def from_volume(
         require_callable(progress, "progress")
     _require_real(volume)
     from geokit.core import launcher
-    from geokit.mesh._device_mesh import mesh_on_device
+    from geokit.mesh.model.device_mesh import mesh_on_device
 
     target = launcher.resolve_device(device)
     if method == "openvdb" or adaptivity > 0.0:

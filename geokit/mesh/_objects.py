@@ -17,7 +17,7 @@ from geokit.formats.attributes.joined import JoinedData
 from geokit.formats.attributes.objects import carried_by
 from geokit.formats.body import Body
 from geokit.formats.polygons import triangulate
-from geokit.mesh._model import TriangleMesh
+from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = ["as_mesh", "require_mesh"]
 

@@ -9,7 +9,7 @@ from geokit.core.memory.needs import needs
 from geokit.core.require import require_count, require_table
 from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
-from geokit.mesh._model import TriangleMesh
+from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = ["box", "cone", "cylinder", "plane", "sphere", "torus"]
 

@@ -14,9 +14,9 @@ from geokit.core.memory.needs import needs
 from geokit.core.require import require_flag
 from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
-from geokit.mesh._model import TriangleMesh
 from geokit.mesh._objects import require_mesh
 from geokit.mesh.attributes.derived import derived, moved_to_corners
+from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.topology.connectivity import collapsed_faces, position_corners
 from geokit.mesh.topology.measures import faces_without_area
 

@@ -15,9 +15,9 @@ from geokit.core.memory.needs import needs
 from geokit.core.require import require_callable, require_count
 from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
-from geokit.mesh._model import TriangleMesh
 from geokit.mesh._objects import require_mesh
 from geokit.mesh.attributes.derived import with_data
+from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 if TYPE_CHECKING:
     from geokit.mesh._surface import Surface

@@ -10,9 +10,9 @@ from geokit.core.interop.types import MeshLike
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_one_world
 from geokit.errors import InputError
-from geokit.mesh._model import MeshPart, TriangleMesh, trusted_mesh
 from geokit.mesh._objects import require_mesh
 from geokit.mesh.attributes.derived import derived
+from geokit.mesh.model.triangle_mesh import MeshPart, TriangleMesh, trusted_mesh
 
 __all__ = ["union"]
 

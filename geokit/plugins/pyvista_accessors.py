@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from geokit.mesh._model import TriangleMesh
     from geokit.mesh._surface import Surface
+    from geokit.mesh.model.triangle_mesh import TriangleMesh
     from geokit.mesh.queries.points import ClosestPoints
     from geokit.mesh.sign.queries import SignedDistances
     from geokit.volume._model import SparseVolume
@@ -90,7 +90,7 @@ class ImageAccessor:
         from geokit.core.interop.objects import image_of
         from geokit.mesh._convert import to_pyvista
         from geokit.mesh._from_volume import from_volume
-        from geokit.mesh._model import TriangleMesh
+        from geokit.mesh.model.triangle_mesh import TriangleMesh
 
         volume = self.to_volume(grid_type="float")
         mesh = from_volume(volume, isovalue=value, **{"method": "marching_cubes", **options})

@@ -11,7 +11,7 @@ from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
 
 if TYPE_CHECKING:
-    from geokit.mesh._model import TriangleMesh
+    from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = ["UP", "VIEW_ANGLE", "Camera", "View", "camera_of", "up_of", "up_of_points", "view_of"]
 

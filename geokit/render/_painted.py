@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from geokit._warn import warn
 from geokit.errors import FileFormatError
 from geokit.formats.attributes.images import pixels_of
-from geokit.mesh._data import full_scale, has_meaning
+from geokit.mesh.model.data import full_scale, has_meaning
 from geokit.mesh.topology.connectivity import position_corners
 from geokit.mesh.topology.normals import face_normals
 
 if TYPE_CHECKING:
-    from geokit.mesh._data import Material
-    from geokit.mesh._model import TriangleMesh
+    from geokit.mesh.model.data import Material
+    from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = [
     "Painted",

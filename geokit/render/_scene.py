@@ -37,7 +37,7 @@ from geokit.render._passes import smooth_edges
 from geokit.render._shadow import add_shadow
 
 if TYPE_CHECKING:
-    from geokit.mesh._model import TriangleMesh
+    from geokit.mesh.model.triangle_mesh import TriangleMesh
     from geokit.volume._model import SparseVolume
 
 __all__ = ["figure"]

@@ -11,7 +11,7 @@ from geokit.errors import InputError, UnsupportedGridError
 from geokit.mesh._attributes import sample_attributes
 from geokit.mesh._from_volume import from_volume
 from geokit.mesh._io import load, save
-from geokit.mesh._model import TriangleMesh
+from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.volume._sample import sample
 
 

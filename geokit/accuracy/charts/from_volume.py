@@ -17,7 +17,7 @@ from geokit.accuracy.trials.running import failed, judged, setting_of
 if TYPE_CHECKING:
     from geokit.accuracy.charts.volume_points import VolumePoints
     from geokit.accuracy.charts.volume_setup import NearSurface
-    from geokit.mesh._model import TriangleMesh
+    from geokit.mesh.model.triangle_mesh import TriangleMesh
     from geokit.volume._model import SparseVolume
 
 __all__ = ["from_volume_chart", "isosurface_chart"]

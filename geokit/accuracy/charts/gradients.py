@@ -16,7 +16,7 @@ from geokit.accuracy.trials.running import angles, failed, judged, on_host, send
 if TYPE_CHECKING:
     from geokit.accuracy.charts.volume_points import VolumePoints
     from geokit.accuracy.charts.volume_setup import Known, NearSurface
-    from geokit.mesh._model import TriangleMesh
+    from geokit.mesh.model.triangle_mesh import TriangleMesh
     from geokit.volume._model import SparseVolume
 
 __all__ = ["gradients_chart", "sdf_gradients_chart"]

@@ -12,8 +12,8 @@ from geokit.accuracy.charts.volume_setup import area_samples
 from geokit.accuracy.reference import mesh as reference
 
 if TYPE_CHECKING:
-    from geokit.mesh._model import TriangleMesh
     from geokit.mesh._surface import Surface
+    from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = ["MeshSetup", "Queries"]
 

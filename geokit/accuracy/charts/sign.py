@@ -14,7 +14,7 @@ from geokit.accuracy.reference import mesh as reference
 from geokit.accuracy.trials.held_bytes import held_bytes
 from geokit.accuracy.trials.model import Chart, Judgement, Trial
 from geokit.accuracy.trials.running import judged, on_host, send, setting_of
-from geokit.mesh._model import TriangleMesh
+from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 if TYPE_CHECKING:
     from geokit.accuracy.charts.mesh_setup import MeshSetup

@@ -14,8 +14,8 @@ from geokit.accuracy.reference import mesh as reference
 from geokit.accuracy.trials.running import without_warnings
 
 if TYPE_CHECKING:
-    from geokit.mesh._model import TriangleMesh
     from geokit.mesh._surface import Surface
+    from geokit.mesh.model.triangle_mesh import TriangleMesh
     from geokit.volume._model import SparseVolume
 
 __all__ = [

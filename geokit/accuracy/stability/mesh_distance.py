@@ -22,7 +22,7 @@ from geokit.accuracy.stability.mesh_questions import (
 )
 from geokit.accuracy.stability.shapes import moved, rotated, scaled, sliver_fan, thin_plate, torus
 from geokit.accuracy.trials.model import Envelope, Judgement, Sweep
-from geokit.mesh._model import TriangleMesh
+from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = ["distance_sweeps"]
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from geokit.accuracy.stability.shapes import rotation, scaled
 from geokit.accuracy.trials.model import Judgement
-from geokit.mesh._model import TriangleMesh
+from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 if TYPE_CHECKING:
     from geokit.mesh._surface import Surface

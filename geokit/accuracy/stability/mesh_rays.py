@@ -20,7 +20,7 @@ from geokit.accuracy.stability.mesh_questions import (
 )
 from geokit.accuracy.stability.shapes import box, icosphere, moved, rotated, scaled, sliver_fan
 from geokit.accuracy.trials.model import Envelope, Judgement, Sweep
-from geokit.mesh._model import TriangleMesh
+from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = ["ray_sweeps"]
 

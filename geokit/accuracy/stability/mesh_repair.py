@@ -20,7 +20,7 @@ from geokit.accuracy.stability.shapes import (
     without_cap,
 )
 from geokit.accuracy.trials.model import Envelope, Judgement, Sweep
-from geokit.mesh._model import TriangleMesh
+from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = ["repair_sweeps"]
 

@@ -15,7 +15,7 @@ from geokit.accuracy.stability.fields import MIDDLE, ball, level_set, unit_vecto
 from geokit.accuracy.trials.model import Envelope, Judgement, Sweep
 
 if TYPE_CHECKING:
-    from geokit.mesh._model import TriangleMesh
+    from geokit.mesh.model.triangle_mesh import TriangleMesh
     from geokit.volume._model import SparseVolume
 
 __all__ = ["sweeps"]
@@ -237,7 +237,7 @@ def _wall(thickness: float, seed: int, number: int) -> tuple[TriangleMesh, Float
     middle = np.random.default_rng([seed, number, 1]).random(3) if number else np.array([0.2, 0.3, 0.5])
     half = (WALL_HALF, WALL_HALF, 0.5 * thickness)
     plate = shapes.box((-half[0], -half[1], -half[2]), half)
-    from geokit.mesh._model import TriangleMesh
+    from geokit.mesh.model.triangle_mesh import TriangleMesh
 
     return TriangleMesh(plate.vertices @ turn.T + middle, plate.faces, name="wall"), turn, middle
 

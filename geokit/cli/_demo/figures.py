@@ -14,7 +14,7 @@ from geokit import render
 from geokit.cli._demo.input import Camera
 from geokit.cli._demo.log import DemoLog, write_text
 from geokit.cli._demo.steps import AccuracyPoint, Neighborhood, Projection
-from geokit.mesh._model import TriangleMesh
+from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 if TYPE_CHECKING:
     from geokit.mesh import RayHits

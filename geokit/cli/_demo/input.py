@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from geokit._packages import remedy
 from geokit.errors import MissingDependencyError
-from geokit.mesh._model import TriangleMesh
+from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = ["Camera", "camera_rays", "find_mesh", "load_mesh", "points_on"]
 

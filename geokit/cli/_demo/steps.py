@@ -16,7 +16,7 @@ from geokit.accuracy.reference.volume import Voxels
 from geokit.cli._demo.input import Camera, camera_rays, points_on
 from geokit.cli._demo.log import DemoLog
 from geokit.errors import MissingDependencyError
-from geokit.mesh._model import TriangleMesh
+from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 if TYPE_CHECKING:
     from geokit.mesh import RayHits, Surface

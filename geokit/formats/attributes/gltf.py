@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from geokit.errors import FileAccessError, FileFormatError
 from geokit.formats.attributes.columns import as_columns, from_columns, utf8
 from geokit.formats.body import FileMaterial
-from geokit.mesh._data import full_scale, has_meaning
+from geokit.mesh.model.data import full_scale, has_meaning
 
 if TYPE_CHECKING:
-    from geokit.mesh._data import Material
-    from geokit.mesh._model import TriangleMesh
+    from geokit.mesh.model.data import Material
+    from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = [
     "attributes_of",

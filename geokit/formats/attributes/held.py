@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.formats.table import Format
-from geokit.mesh._data import Data, full_scale, has_meaning
-from geokit.mesh._model import TriangleMesh
 from geokit.mesh.attributes.derived import with_data
 from geokit.mesh.attributes.seams import split_seams
+from geokit.mesh.model.data import Data, full_scale, has_meaning
+from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = ["what_is_held"]
 

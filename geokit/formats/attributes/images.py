@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from geokit._packages import require_package
 from geokit.errors import FileFormatError
-from geokit.mesh._data import Texture
+from geokit.mesh.model.data import Texture
 
 __all__ = ["as_read", "picture_of", "pixel_count", "pixels_of", "png_of"]
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from geokit._warn import warn
 from geokit.formats.body import Body, FileMaterial
-from geokit.mesh._data import Material, Texture, full_scale, has_meaning, with_alpha
 from geokit.mesh.attributes.derived import turned_normals
+from geokit.mesh.model.data import Material, Texture, full_scale, has_meaning, with_alpha
 
 __all__ = ["JoinedData"]
 

@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 from geokit.errors import FileAccessError
 from geokit.formats.body import FileMaterial
 from geokit.formats.references import LONGEST, require_inside
-from geokit.mesh._data import Material
+from geokit.mesh.model.data import Material
 
 __all__ = [
     "image_content",

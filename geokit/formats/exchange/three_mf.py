@@ -24,7 +24,7 @@ from geokit.errors import FileFormatError
 from geokit.formats.body import Body
 
 if TYPE_CHECKING:
-    from geokit.mesh._model import TriangleMesh
+    from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = ["content_bytes", "read_mesh", "write_mesh"]
 

@@ -16,7 +16,7 @@ from geokit.formats.body import FileMaterial
 from geokit.formats.references import LONGEST, require_inside
 
 if TYPE_CHECKING:
-    from geokit.mesh._data import Material
+    from geokit.mesh.model.data import Material
 
 __all__ = ["Bound", "Materials", "write_materials"]
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core.memory.row_products import row_product
-from geokit.mesh._data import Data, has_meaning
-from geokit.mesh._model import MeshPart, TriangleMesh, trusted_mesh
+from geokit.mesh.model.data import Data, has_meaning
+from geokit.mesh.model.triangle_mesh import MeshPart, TriangleMesh, trusted_mesh
 
 __all__ = ["derived", "moved_to_corners", "turned_normals", "with_data"]
 

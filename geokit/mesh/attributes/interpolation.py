@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from geokit.core.require import require_items, require_text
 from geokit.errors import InputError
-from geokit.mesh._data import has_meaning
-from geokit.mesh._model import TriangleMesh
+from geokit.mesh.model.data import has_meaning
+from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = ["chosen_names", "closest_weights", "interpolated", "interpolation_bytes", "weights_within"]
 

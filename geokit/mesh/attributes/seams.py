@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core.equal_rows import merge_equal_rows
-from geokit.mesh._data import Data
-from geokit.mesh._model import TriangleMesh
 from geokit.mesh.attributes.derived import derived, with_data
+from geokit.mesh.model.data import Data
+from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = ["distinct_corners", "split_seams"]
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import warp as wp
 
     from geokit.core.frame import Frame
-    from geokit.mesh._model import TriangleMesh
+    from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = ["LEAF_GRAIN", "BoxOverlaps", "OverlapQueries", "require_surface"]
 

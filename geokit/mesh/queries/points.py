@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from geokit.core.frame import Frame
     from geokit.core.memory.host_array import HostArray
-    from geokit.mesh._model import TriangleMesh
+    from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = ["ClosestPoints", "FurthestPoints", "PointQueries", "checked_radius", "refuse_raised"]
 

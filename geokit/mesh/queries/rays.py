@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from geokit.core.frame import Frame
-    from geokit.mesh._model import TriangleMesh
+    from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = ["RayHitLists", "RayHits", "RayQueries", "checked_limits", "group_size", "refuse_rays"]
 

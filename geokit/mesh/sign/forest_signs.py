@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from geokit.core.base.forks import Lock
 from geokit.core.equal_rows import merge_equal_points, repeated_triples
 from geokit.core.memory.struct_array import struct_rows, struct_table
-from geokit.mesh._model import trusted_mesh
+from geokit.mesh.model.triangle_mesh import trusted_mesh
 from geokit.mesh.queries.forest_pairs import self_intersecting
 from geokit.mesh.sign.queries import FAR
 from geokit.mesh.topology.connectivity import Topology, collapsed_faces, connected_components

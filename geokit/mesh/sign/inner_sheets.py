@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.mesh._model import TriangleMesh
+from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.topology.audit import face_parts
 from geokit.mesh.topology.bodies import closed_bodies
 from geokit.mesh.topology.connectivity import Topology, connected_components

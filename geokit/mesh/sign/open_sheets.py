@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geokit.core.memory.pinned import host_flags
-from geokit.mesh._model import TriangleMesh
+from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.sign.choice import SignChoice
 from geokit.mesh.sign.inner_sheets import EXTREME_SIZE, INNER_POINT
 from geokit.mesh.topology.bodies import closed_bodies

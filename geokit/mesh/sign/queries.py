@@ -369,7 +369,7 @@ class SignQueries(PointQueries):
         return found
 
     def _without(self, rows: NDArray[np.int64]) -> Any:
-        from geokit.mesh._model import TriangleMesh
+        from geokit.mesh.model.triangle_mesh import TriangleMesh
 
         faces = np.delete(self.mesh.faces, rows, axis=0)
         found = self._of(TriangleMesh(self.mesh.vertices, faces, name=self.mesh.name), device=self._device)

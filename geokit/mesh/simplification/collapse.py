@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from geokit.core import launcher
 from geokit.core.memory.host_array import HostArray
-from geokit.mesh._model import TriangleMesh
+from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = ["collapsed"]
 

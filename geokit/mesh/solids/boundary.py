@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.mesh._model import TriangleMesh
 from geokit.mesh.attributes.derived import derived, with_data
+from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.sign.inner_sheets import CONTACT, EXTREME_SIZE
 from geokit.mesh.solids.judging import areas_of, self_overlap, verdict_of
 from geokit.mesh.solids.reading import Reading, read_solids

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.mesh._model import TriangleMesh
+from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.sign.inner_sheets import CONTACT, INNER_POINT
 from geokit.mesh.solids.union import Pieces
 from geokit.mesh.topology.normals import cross

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.mesh._model import TriangleMesh
+from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.sign.inner_sheets import CONTACT, collapsed, is_inside, sheets_inside
 from geokit.mesh.solids.judging import FACES_FOR_A_SHARE, OVERLAP_SHARE, checkable
 from geokit.mesh.topology.bodies import Bodies, closed_bodies

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core.memory.needs import require_free
-from geokit.mesh._model import TriangleMesh
 from geokit.mesh.attributes.derived import derived, with_data
+from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.sign.inner_sheets import CONTACT, INNER_POINT
 from geokit.mesh.topology.connectivity import position_corners
 from geokit.mesh.topology.normals import cross, unit

@@ -18,7 +18,7 @@ from geokit.core.require import require_path
 from geokit.formats.blocks.boxes import Boxes
 from geokit.formats.blocks.records import AT_A_TIME, BYTES_AT_A_TIME, work_folder
 from geokit.formats.blocks.triangles import TriangleFile, open_triangles
-from geokit.mesh._model import TriangleMesh
+from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.streamed.order_statistics import OrderStatistics
 from geokit.mesh.streamed.tiles import Tiles, survey_triangles
 from geokit.mesh.topology.audit import (

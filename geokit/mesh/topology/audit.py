@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core.equal_rows import repeated_triples
-from geokit.mesh._model import TriangleMesh
+from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.topology.connectivity import MeshTopology, connected_components, position_corners
 from geokit.mesh.topology.doubled_faces import back_to_back_pairs
 from geokit.mesh.topology.measures import FaceMeasures, measure_faces

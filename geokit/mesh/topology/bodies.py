@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.mesh._model import TriangleMesh
+from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.topology.connectivity import Topology, collapsed_faces, connected_components, position_corners
 from geokit.mesh.topology.measures import measure_faces
 from geokit.mesh.topology.orientation import FLAT_SHARE

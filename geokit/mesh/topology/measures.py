@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
-from geokit.mesh._model import TriangleMesh
+from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.topology.connectivity import kernels_pay
 
 __all__ = ["DEGENERATE_RATIO", "FaceMeasures", "faces_without_area", "measure_each", "measure_faces"]

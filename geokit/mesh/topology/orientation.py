@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core.equal_rows import repeated_triples
-from geokit.mesh._model import TriangleMesh
+from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.topology.boxes import boxes_of
 from geokit.mesh.topology.connectivity import MeshTopology, Topology, connected_components, mesh_topology
 from geokit.mesh.topology.doubled_faces import DoubledFaces, doubled_faces, none_doubled, with_polygons

@@ -8,7 +8,7 @@ from geokit.errors import InputError
 
 if TYPE_CHECKING:
     from geokit.core.frame import Frame
-    from geokit.mesh._model import TriangleMesh
+    from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = ["require_measurable"]
 

@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.errors import InputError
-from geokit.mesh._data import MEANINGS, has_meaning
+from geokit.mesh.model.data import MEANINGS, has_meaning
 from geokit.mesh.topology.connectivity import position_corners
 from geokit.render._checks import require_drawable, value_range
 from geokit.render._painted import bytes_of, corner_alpha, corner_colors, is_painted
 from geokit.render._scene import SURFACE_COLOR
 
 if TYPE_CHECKING:
-    from geokit.mesh._model import TriangleMesh
+    from geokit.mesh.model.triangle_mesh import TriangleMesh
     from geokit.points._io import PointCloud
     from geokit.render.viewer.arrays import Arrays
     from geokit.render.viewer.scene import Frame

@@ -11,7 +11,7 @@ from geokit.volume.adaptive.cells import CellLattice
 from geokit.volume.tolerance.zone import rounding_of
 
 if TYPE_CHECKING:
-    from geokit.mesh._model import TriangleMesh
+    from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = ["DRAWN_POINTS", "CheckPoints", "check_points"]
 

@@ -22,8 +22,8 @@ from geokit.volume.nanovdb.provenance import INTERIOR, content_hash, provenance,
 from geokit.volume.tree.grid_head import checked_head
 
 if TYPE_CHECKING:
-    from geokit.mesh._model import TriangleMesh
     from geokit.mesh._surface import Surface
+    from geokit.mesh.model.triangle_mesh import TriangleMesh
     from geokit.volume.band.band import Band
     from geokit.volume.tree.device_writer import BuiltGrid
 

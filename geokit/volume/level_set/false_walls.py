@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
-from geokit.mesh._model import TriangleMesh
 from geokit.mesh._surface import Surface
+from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.points._neighbors import NeighborGrid
 from geokit.volume._model import SparseVolume
 from geokit.volume._sample import sample

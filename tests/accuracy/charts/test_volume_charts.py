@@ -25,7 +25,7 @@ from geokit.accuracy.stability.shapes import box, box_distance, icosphere, moved
 from geokit.accuracy.trials.model import Subject
 from geokit.accuracy.trials.running import angles
 from geokit.errors import InputError, UnsupportedGridError
-from geokit.mesh._model import TriangleMesh
+from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.volume._dense import from_dense
 from geokit.volume._from_mesh import from_mesh
 

@@ -16,7 +16,7 @@ from geokit.accuracy.stability import volume_rays as rays
 from geokit.accuracy.stability import volume_sample as samples
 from geokit.accuracy.stability.volume import volume_sweeps
 from geokit.errors import InputError
-from geokit.mesh._model import TriangleMesh
+from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.volume._model import SparseVolume
 
 SWEEPS = {sweep.name: sweep for sweep in volume_sweeps("cpu")}

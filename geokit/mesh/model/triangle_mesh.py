@@ -23,7 +23,7 @@ from geokit.core.require import (
     require_text,
 )
 from geokit.errors import InputError
-from geokit.mesh._data import (
+from geokit.mesh.model.data import (
     NOTHING,
     Data,
     Material,
@@ -33,7 +33,7 @@ from geokit.mesh._data import (
 )
 
 if TYPE_CHECKING:
-    from geokit.mesh._device_mesh import DeviceArrays
+    from geokit.mesh.model.device_mesh import DeviceArrays
 
 __all__ = ["MeshPart", "TriangleMesh", "trusted_mesh"]
 

@@ -18,8 +18,9 @@ from benchmarks.catalog import mesh_catalog
 from benchmarks.catalog.float_grids import build_float_grid
 from benchmarks.catalog.sphere_volumes import sphere
 from benchmarks.catalog.typed_grids import TypedGrid
-from geokit.mesh import Surface, TriangleMesh, _device_mesh
-from geokit.mesh._device_mesh import arrays_on, box_of, mesh_on_device
+from geokit.mesh import Surface, TriangleMesh
+from geokit.mesh.model import device_mesh as device_mesh_module
+from geokit.mesh.model.device_mesh import arrays_on, box_of, mesh_on_device
 from geokit.volume._model import SparseVolume, made_on_device
 from geokit.volume.nanovdb.header import info_of
 from tests.support.devices import DEVICES
@@ -38,13 +39,13 @@ def placed(mesh, device):
 def journeys(monkeypatch):
     """The copies to the host since the start of the test, one entry for each."""
     made = []
-    download = _device_mesh.download
+    download = device_mesh_module.download
 
     def counted(*arrays):
         made.append(len(arrays))
         return download(*arrays)
 
-    monkeypatch.setattr(_device_mesh, "download", counted)
+    monkeypatch.setattr(device_mesh_module, "download", counted)
     return made
 
 
@@ -101,7 +102,7 @@ def test_without_faces(vertex_count, device):
 def test_threads_wait_for_one_journey(device, monkeypatch):
     whole = mesh_catalog.icosphere(1)
     mesh = placed(whole, device)
-    download, made, start, found = _device_mesh.download, [], threading.Barrier(8), []
+    download, made, start, found = device_mesh_module.download, [], threading.Barrier(8), []
     arrived = threading.Event()
 
     def slow(*arrays):
@@ -109,7 +110,7 @@ def test_threads_wait_for_one_journey(device, monkeypatch):
         arrived.wait(0.2)  # the other threads arrive meanwhile
         return download(*arrays)
 
-    monkeypatch.setattr(_device_mesh, "download", slow)
+    monkeypatch.setattr(device_mesh_module, "download", slow)
 
     def read(name):
         start.wait()
@@ -133,7 +134,7 @@ def test_after_a_journey_that_failed_it_is_still_there(device, monkeypatch):
         raise MemoryError("no more")
 
     with monkeypatch.context() as patch:
-        patch.setattr(_device_mesh, "download", full)
+        patch.setattr(device_mesh_module, "download", full)
         with pytest.raises(MemoryError, match="no more"):
             mesh.vertices  # noqa: B018
     np.testing.assert_array_equal(mesh.vertices, whole.vertices)

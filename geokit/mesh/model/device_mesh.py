@@ -11,7 +11,7 @@ from geokit.core import launcher
 from geokit.core.base.forks import Lock
 from geokit.core.download import download
 from geokit.core.memory.pinned import host_arrays
-from geokit.mesh._model import TriangleMesh
+from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 if TYPE_CHECKING:
     import warp as wp
