@@ -15,7 +15,7 @@ import warp as wp
 
 from benchmarks.catalog.float_grids import build_float_grid
 from geokit.core import launcher
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import info_of
 from geokit.volume.sampling import differential_kernels as kernels
 from geokit.volume.tree.leaves import LEAF_VOXELS, leaves_of

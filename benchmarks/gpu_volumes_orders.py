@@ -18,8 +18,8 @@ from geokit.core import launcher
 from geokit.volume._active import active_at
 from geokit.volume._curvature import curvature, hessian
 from geokit.volume._from_channel import from_channel
-from geokit.volume._model import SparseVolume
 from geokit.volume._sample import gradient, sample
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import aligned_buffer, info_of
 
 POINTS = 10_000_000

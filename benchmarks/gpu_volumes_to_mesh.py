@@ -17,7 +17,7 @@ import geokit as gk
 from benchmarks.catalog.float_grids import build_float_grid
 from benchmarks.gpu_timing import mesh_medians, wall_median
 from geokit.core import launcher
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import info_of
 
 METHODS = ("surface_nets", "marching_cubes", "dual_contouring")

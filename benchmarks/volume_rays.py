@@ -162,7 +162,7 @@ def preparation(report: Report, resolution: int) -> None:
 def volume_of_fog(resolution: int) -> Any:
     """The bunny's band as fog: densest at the surface."""
     from benchmarks.catalog.float_grids import build_float_grid
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
     from geokit.volume.nanovdb.header import TREE_OFFSET, info_of, tree_header
 
     volume = level_set(resolution)

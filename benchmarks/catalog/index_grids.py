@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from benchmarks.catalog.typed_grids import LEAVES, put
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import (
     BLIND_DATA,
     HEAD_SIZE,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.catalog.float_grids import build_float_grid
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import info_of
 
 VOXELS = np.stack(np.meshgrid(*3 * [np.arange(8)], indexing="ij"), axis=-1).reshape(-1, 3)

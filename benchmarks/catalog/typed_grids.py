@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import HEAD_SIZE, TREE_OFFSET, aligned_buffer, grid_header, info_of, tree_header
 from geokit.volume.nanovdb.layout import GRID_TYPES, layout_of
 from geokit.volume.nanovdb.types import TYPES

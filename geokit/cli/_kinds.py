@@ -20,7 +20,7 @@ from geokit.formats.table import FORMATS, SPARSE, STAGES, Content, image_module,
 
 if TYPE_CHECKING:
     from geokit.points._io import PointCloud, Rays
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = [
     "Device",

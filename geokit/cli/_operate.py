@@ -15,7 +15,7 @@ from geokit.cli._kinds import Flag, grid_names, kind_of_input, kind_of_output, l
 from geokit.errors import GeokitError, InputError
 
 if TYPE_CHECKING:
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["DEFAULTS", "REMEDY", "Common", "apply", "combine", "operation", "require_volume_file"]
 

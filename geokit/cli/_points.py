@@ -16,7 +16,7 @@ from geokit.formats.table import FORMATS
 if TYPE_CHECKING:
     from geokit.cli._storage import Storage
     from geokit.points._io import PointCloud
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["cloud_to_mesh", "cloud_to_volume", "mesh_to_cloud", "save_cloud"]
 

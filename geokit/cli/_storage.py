@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from geokit.errors import InputError
 
 if TYPE_CHECKING:
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["Storage"]
 

@@ -15,8 +15,8 @@ from geokit.core.memory.needs import needs
 from geokit.core.require import require_choice
 from geokit.errors import InputError
 from geokit.mesh._surface import Surface
-from geokit.points._neighbors import NeighborGrid
-from geokit.volume._model import SparseVolume
+from geokit.points.neighbors.neighbor_grid import NeighborGrid
+from geokit.volume.model.sparse_volume import SparseVolume
 
 if TYPE_CHECKING:
     import dask.array as da

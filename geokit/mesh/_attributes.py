@@ -18,7 +18,7 @@ from geokit.mesh.model.device_mesh import vertices_near
 from geokit.volume.tree.leaves import require_volume
 
 if TYPE_CHECKING:
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["sample_attributes"]
 

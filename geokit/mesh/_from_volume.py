@@ -21,7 +21,7 @@ from geokit.volume.tree.leaves import require_volume
 
 if TYPE_CHECKING:
     from geokit.mesh._simplify import Simplified
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["from_volume", "from_volume_with_deviation"]
 

@@ -12,7 +12,7 @@ from geokit.core.require import require_count
 from geokit.errors import DeviceMemoryError
 
 if TYPE_CHECKING:
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["MOST_BYTES", "dense_of", "is_level_set", "require_fits"]
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from geokit.mesh.model.triangle_mesh import TriangleMesh
     from geokit.mesh.queries.points import ClosestPoints
     from geokit.mesh.sign.queries import SignedDistances
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["ACCESSORS", "ImageAccessor", "SurfaceAccessor", "attach"]
 

@@ -8,7 +8,7 @@ from ._convert import to_open3d as to_open3d, to_pyvista as to_pyvista, to_trime
 from ._sample import sample as sample
 
 # Neighbors: a grid is prepared once and queried often.
-from ._neighbors import (
+from .neighbors.neighbor_grid import (
     NeighborGrid as NeighborGrid,
     Neighbors as Neighbors,
     Candidates as Candidates,

@@ -9,7 +9,7 @@ from geokit.core.interop.types import Device, Rows
 from geokit.core.memory.needs import needs, rows
 from geokit.core.require import require_count
 from geokit.core.user_arrays import read_vectors, require_finite_scalar
-from geokit.points._neighbors import NeighborGrid
+from geokit.points.neighbors.neighbor_grid import NeighborGrid
 
 __all__ = ["cluster"]
 

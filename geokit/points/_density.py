@@ -14,7 +14,7 @@ from geokit.core.memory.needs import needs, rows
 from geokit.core.require import require_choice
 from geokit.core.user_arrays import read_numbers, require_finite_scalar
 from geokit.errors import InputError
-from geokit.points._neighbors import NeighborGrid
+from geokit.points.neighbors.neighbor_grid import NeighborGrid
 
 __all__ = ["density"]
 

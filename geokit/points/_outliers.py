@@ -12,7 +12,7 @@ from geokit.core.memory.needs import needs, rows
 from geokit.core.require import require_choice, require_count
 from geokit.core.user_arrays import LARGEST_MEASURED, read_vectors, require_finite_scalar
 from geokit.errors import InputError
-from geokit.points._neighbors import NeighborGrid
+from geokit.points.neighbors.neighbor_grid import NeighborGrid
 from geokit.points.search.nearest import MAX_K, nearest
 from geokit.points.search.nearest_tree import build_tree
 

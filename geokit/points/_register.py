@@ -19,7 +19,7 @@ from geokit.mesh._surface import BYTES_PER_FACE
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.points._register_targets import Pairs, Target, make_target
 from geokit.points.clouds.rigid_fit import Step, orthonormal, plane_rank, plane_step, point_step
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 
 if TYPE_CHECKING:
     import warp as wp

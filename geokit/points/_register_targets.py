@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import warp as wp
 
     from geokit.mesh._surface import Surface
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["Pairs", "Target", "make_target"]
 
@@ -82,7 +82,7 @@ def make_target(target: Any, target_normals: Any, wants_normals: bool, device: A
     from geokit.mesh._objects import require_mesh
     from geokit.mesh._surface import Surface
     from geokit.mesh.model.triangle_mesh import TriangleMesh
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
 
     if isinstance(target, TriangleMesh) or has_faces(target, "target"):
         target = Surface(require_mesh(target, "target", images=False), device=device)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from geokit.errors import InputError
 
 if TYPE_CHECKING:
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["DenseField", "dense_field"]
 

@@ -41,7 +41,7 @@ def _scene(thing: Any) -> dict[str, Any] | None:
     from geokit.mesh._surface import Surface
     from geokit.mesh.model.triangle_mesh import TriangleMesh
     from geokit.points._io import PointCloud
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
 
     thing = thing.mesh if isinstance(thing, Surface) else thing
     if isinstance(thing, TriangleMesh):

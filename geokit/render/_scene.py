@@ -38,7 +38,7 @@ from geokit.render._shadow import add_shadow
 
 if TYPE_CHECKING:
     from geokit.mesh.model.triangle_mesh import TriangleMesh
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["figure"]
 
@@ -179,7 +179,7 @@ def figure(
         MissingDependencyError: No OpenGL library works here; the message names the packages.
     """
     from geokit.mesh._objects import require_mesh
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
 
     target = checked_target(path)
     width, height = checked_size(size)

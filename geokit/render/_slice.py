@@ -29,7 +29,7 @@ from geokit.render._image import new_axes, save_figure
 from geokit.volume.tree.leaves import require_volume
 
 if TYPE_CHECKING:
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["slice_figure"]
 

@@ -15,7 +15,7 @@ from geokit.volume._integrate import integrate
 
 if TYPE_CHECKING:
     from geokit.render._camera import Camera
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["draw_smoke"]
 

@@ -1,5 +1,5 @@
 # The volume itself, and files.
-from ._model import SparseVolume as SparseVolume
+from .model.sparse_volume import SparseVolume as SparseVolume
 from .nanovdb.grid_info import GridInfo as GridInfo
 from ._io import load as load, load_all as load_all, save as save, inspect as inspect
 

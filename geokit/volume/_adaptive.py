@@ -21,7 +21,6 @@ from geokit.core.memory.pinned import host_flags
 from geokit.core.require import require_count, require_items, require_text
 from geokit.errors import DeviceMemoryError, FileFormatError, InputError
 from geokit.volume._io import load_all, save
-from geokit.volume._model import SparseVolume
 from geokit.volume._quantize import CODECS
 from geokit.volume._sample import gradient as volume_gradient
 from geokit.volume._sample import sample as volume_sample
@@ -32,6 +31,7 @@ from geokit.volume.adaptive.choice import CLOSE, WORTH_LEVELS, levels_of, levels
 from geokit.volume.adaptive.refine import Refinement
 from geokit.volume.adaptive.table import AdaptiveTable, adaptive_table, shifts_of
 from geokit.volume.band.fields import hash_of, mesh_metadata
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.provenance import ORDER, VOXEL_SIZE, provenance, with_more
 from geokit.volume.sampling.space import world_to_index
 from geokit.volume.tolerance.checked_fields import TOLD, Achieved, made_within

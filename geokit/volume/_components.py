@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from geokit.core import launcher
 from geokit.core.interop.types import Device
 from geokit.core.memory.needs import needs
-from geokit.volume._model import SparseVolume
 from geokit.volume.components.labels import active_rows, inside_rows, label_components
 from geokit.volume.components.level_sets import split_level_set
 from geokit.volume.components.split import label_volume, split_active
 from geokit.volume.level_set.band_widths import widths_of, with_widths
 from geokit.volume.level_set.operands import require_level_set, with_band
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.types import QUANTIZED
 from geokit.volume.tree.estimates import leaf_count
 from geokit.volume.tree.leaves import dequantized, require_volume

@@ -15,7 +15,7 @@ from geokit.volume._dense import native_of, to_dense
 from geokit.volume.tree.leaves import require_volume
 
 if TYPE_CHECKING:
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["axes_of", "to_pyvista", "to_xarray"]
 

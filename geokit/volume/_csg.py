@@ -12,11 +12,11 @@ from geokit.core.memory.needs import needs
 from geokit.core.require import require_one_world
 from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
-from geokit.volume._model import SparseVolume
 from geokit.volume.level_set.band_widths import widths_of, with_widths
 from geokit.volume.level_set.false_walls import without_false_walls
 from geokit.volume.level_set.operands import require_level_set, with_band
 from geokit.volume.level_set.redistance import redistance
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.provenance import with_more, world_metadata
 from geokit.volume.tree.estimates import leaf_count
 from geokit.volume.tree.leaves import require_volume

@@ -12,8 +12,8 @@ from geokit.core.launches.replay import replayed
 from geokit.core.memory.needs import needs, rows
 from geokit.core.user_arrays import Batch, read_vectors
 from geokit.errors import UnsupportedGridError
-from geokit.volume._model import SparseVolume
 from geokit.volume._sample import is_scalar, require_order, view_as
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.sampling.space import query_inputs, require_space
 from geokit.volume.tree.leaves import require_volume
 

@@ -15,7 +15,7 @@ from geokit.core.memory import available_memory
 from geokit.core.memory.needs import needs
 from geokit.core.require import described, read_array, require_text, require_unrecorded
 from geokit.errors import DeviceMemoryError, InputError, UnsupportedGridError
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import info_of
 from geokit.volume.nanovdb.layout import LAYOUTS
 from geokit.volume.nanovdb.types import INDEX_TYPES

@@ -11,7 +11,7 @@ from geokit.core import launcher
 from geokit.core.interop.types import Device
 from geokit.core.memory.needs import needs
 from geokit.errors import InputError
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.tree.estimates import leaf_count
 from geokit.volume.tree.leaves import LEAF_VOXELS, assemble, leaves_of, require_volume, voxelized
 

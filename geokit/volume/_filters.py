@@ -5,9 +5,9 @@ from __future__ import annotations
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_count, require_text
 from geokit.errors import InputError
-from geokit.volume._model import SparseVolume
 from geokit.volume.level_set.band_widths import widths_of, with_widths
 from geokit.volume.level_set.operands import require_level_set, with_band
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.tree.estimates import leaf_count
 from geokit.volume.tree.leaves import require_volume
 from geokit.volume.tree.openvdb_call import call_openvdb

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from geokit.core.memory.needs import needs
 from geokit.core.require import described, whole_number
 from geokit.errors import FileFormatError, InputError, UnsupportedGridError
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.checks import check_volume
 from geokit.volume.nanovdb.header import (
     BLIND_CLASS_NAME,

@@ -13,7 +13,6 @@ from geokit.core.memory.needs import needs
 from geokit.core.require import require_callable, require_choice, require_flag, require_text
 from geokit.errors import InputError
 from geokit.mesh._sample_surface import total_area
-from geokit.volume._model import SparseVolume
 from geokit.volume.band.band import BandShape, build_band, build_triangle_ids, make_band
 from geokit.volume.band.fields import (
     _origin,
@@ -27,6 +26,7 @@ from geokit.volume.band.fields import (
     volume_from_built,
 )
 from geokit.volume.band.tiles import TILE_VOXELS, Lattice
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import info_of
 from geokit.volume.tolerance.band_memory import band_start
 from geokit.volume.tree.grid_head import checked_head

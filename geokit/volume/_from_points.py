@@ -13,8 +13,8 @@ from geokit.core.interop.types import Device, Rows
 from geokit.core.memory import available_memory
 from geokit.core.memory.needs import needs
 from geokit.errors import DeviceMemoryError, InputError
-from geokit.volume._model import SparseVolume
 from geokit.volume.band.lattice_origin import checked_band, index_translation
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import info_of
 from geokit.volume.nanovdb.layout import LEAF_VOXELS
 from geokit.volume.nanovdb.provenance import content_hash, provenance

@@ -15,7 +15,7 @@ from geokit.core.memory.needs import needs, rows
 from geokit.core.memory.pinned import host_flags
 from geokit.core.require import require_one_world
 from geokit.errors import InputError
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.rays.ray_field import ray_field, read_rays, refuse_bad_rays
 from geokit.volume.tree.leaves import require_volume
 

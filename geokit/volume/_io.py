@@ -25,11 +25,11 @@ from geokit.formats.images.image import Image
 from geokit.formats.table import SPARSE, STAGES, extensions, image_module, volume_kind, with_formats
 from geokit.volume._dense import native_of, to_dense
 from geokit.volume._from_channel import from_channel
-from geokit.volume._model import SparseVolume
 from geokit.volume._topology import clip, require_box
 from geokit.volume.images.build import info_of_image, volume_of_image
 from geokit.volume.images.save import save_image
 from geokit.volume.images.stage import named_field, opened, placed, placed_info, save_stage
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb import file
 from geokit.volume.nanovdb.checks import check_grid, mark_checked
 from geokit.volume.nanovdb.codecs import CODECS

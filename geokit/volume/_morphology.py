@@ -10,12 +10,12 @@ from geokit.core.memory.needs import needs
 from geokit.core.require import require_choice, require_count
 from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
-from geokit.volume._model import SparseVolume
 from geokit.volume.band.fields import half_widths
 from geokit.volume.level_set.active_morphology import MOST_VOXELS, NEIGHBORS, changed_topology
 from geokit.volume.level_set.band_widths import BandWidths, widths_of, with_widths
 from geokit.volume.level_set.operands import require_level_set, with_band
 from geokit.volume.level_set.redistance import redistance
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.tree.estimates import leaf_count
 from geokit.volume.tree.leaves import require_volume
 

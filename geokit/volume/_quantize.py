@@ -9,7 +9,7 @@ from geokit.core import user_arrays
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_choice, require_flag
 from geokit.errors import InputError, UnsupportedGridError
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.checks import check_volume
 from geokit.volume.nanovdb.checksum import partial_checksum
 from geokit.volume.nanovdb.header import HEAD_SIZE, grid_header, info_of

@@ -16,7 +16,7 @@ from geokit.core.launches.replay import replayed
 from geokit.core.memory.needs import needs, rows
 from geokit.core.memory.pinned import host_flags
 from geokit.core.poses.placed import placed
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.rays.crossing_blocks import crossing_blocks
 from geokit.volume.rays.ray_field import ray_field, read_rays, refuse_bad_rays
 from geokit.volume.tree.leaves import require_volume

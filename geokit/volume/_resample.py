@@ -15,10 +15,10 @@ from geokit.core.memory.row_products import row_product
 from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError, UnsupportedGridError
 from geokit.volume._active import active_at
-from geokit.volume._model import SparseVolume
 from geokit.volume._sample import require_order, sample
 from geokit.volume.level_set.band_widths import BandWidths, widths_of, with_widths
 from geokit.volume.level_set.operands import require_level_set, with_band
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import voxel_size_of
 from geokit.volume.nanovdb.header_options import checked_transform
 from geokit.volume.nanovdb.layout import LEAF_VOXELS

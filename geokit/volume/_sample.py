@@ -17,7 +17,7 @@ from geokit.core.poses.placed import placed
 from geokit.core.require import described, whole_number
 from geokit.core.user_arrays import read_vectors
 from geokit.errors import InputError, UnsupportedGridError
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.types import COMPONENTS, INDEX_TYPES
 from geokit.volume.sampling.space import query_inputs, require_space
 from geokit.volume.sampling.trilinear_table import gradient_linear, sample_linear

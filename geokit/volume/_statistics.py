@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core.memory.needs import needs
-from geokit.volume._model import SparseVolume
 from geokit.volume.level_set.operands import require_level_set
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.nodes import bits_of
 from geokit.volume.nanovdb.types import BY_NAME
 from geokit.volume.tree.estimates import leaf_count, require_openvdb_room

@@ -11,7 +11,7 @@ from geokit.core.memory.needs import needs
 from geokit.core.require import read_array
 from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.tree.clip import clipped
 from geokit.volume.tree.estimates import leaf_count
 from geokit.volume.tree.leaves import dequantized, require_volume

@@ -15,7 +15,7 @@ from geokit.core.memory.needs import needs
 from geokit.core.require import read_array
 from geokit.core.user_arrays import reported_row
 from geokit.errors import InputError
-from geokit.volume._model import SparseVolume, made_on_device
+from geokit.volume.model.sparse_volume import SparseVolume, made_on_device
 from geokit.volume.nanovdb.checks import check_volume, mark_checked
 from geokit.volume.nanovdb.grid_array import copied_grid, uploaded_grid
 from geokit.volume.nanovdb.header import FLAG_HAS_MIN_MAX, aligned_buffer, grid_header

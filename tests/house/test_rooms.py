@@ -23,7 +23,7 @@ MOST_FILES = 25
 MOST_CPP_LINES = 5
 
 # The one exception: methods of SparseVolume and TriangleMesh forward to verbs, which they import when they are called.
-FORWARDING = ("volume/_model", "mesh/model/triangle_mesh")
+FORWARDING = ("volume/model/sparse_volume", "mesh/model/triangle_mesh")
 
 
 class Room(NamedTuple):

@@ -202,7 +202,7 @@ def test_other_grids_are_drawn_as_fog(tmp_path: Path, ball) -> None:
 
 def test_fog_shows_its_density_and_not_its_box(tmp_path: Path) -> None:
     from benchmarks.catalog.float_grids import build_float_grid
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
     from geokit.volume.nanovdb.header import info_of
 
     # A soft ball of radius 10 in the middle of a block of 32^3 voxels that are zero around it, 0.01 wide each.

@@ -11,7 +11,7 @@ import numpy as np
 
 import geokit as gk
 from benchmarks.catalog.mesh_catalog import torus
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.header import aligned_buffer, grid_class_code, grid_header, info_of, tree_header
 from geokit.volume.nanovdb.layout import layout_of

@@ -15,7 +15,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from geokit.errors import GeokitError
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from tests.support.effort import of_all, spread
 from tests.support.forked import forked
 from tests.support.lying_grids import LIES, OPERATIONS, SOURCES, lying

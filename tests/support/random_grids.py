@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.volume._dense import from_dense
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.layout import LAYOUTS
 from geokit.volume.nanovdb.nodes import bits_of
 from geokit.volume.tree.typed_tree import Nodes, RootTiles, TypedTree

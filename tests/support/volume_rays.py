@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.catalog.float_grids import build_float_grid
-from geokit.volume._model import SparseVolume
 from geokit.volume._raycast import VolumeHits, raycast
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import info_of
 from geokit.volume.rays import crossing_blocks
 from tests.support import reference

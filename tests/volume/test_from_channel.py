@@ -12,8 +12,8 @@ from geokit.errors import FileFormatError, InputError, UnsupportedGridError
 from geokit.volume import load, save
 from geokit.volume._active import active_at
 from geokit.volume._from_channel import channel_names, from_channel
-from geokit.volume._model import SparseVolume
 from geokit.volume._sample import gradient, sample
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.header import BLIND_DATA, aligned_buffer, grid_header, info_of
 from geokit.volume.nanovdb.layout import INDEX_LAYOUTS

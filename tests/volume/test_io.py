@@ -22,7 +22,7 @@ from geokit.errors import (
 )
 from geokit.volume import clip, inspect, load, load_all, resample, save
 from geokit.volume._io import unique_names
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 
 FORMATS = (
     ".nvdb",

@@ -11,7 +11,7 @@ from benchmarks.catalog.float_grids import build_float_grid
 from benchmarks.catalog.sphere_volumes import VOXELS, lookup
 from geokit import native
 from geokit.volume import inspect, load, save
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.header import info_of
 

@@ -10,8 +10,8 @@ import pytest
 import geokit as gk
 from geokit import native
 from geokit.errors import MissingDependencyError
-from geokit.volume._model import SparseVolume
 from geokit.volume._resample import resampled
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.checksum import checksum_matches
 from geokit.volume.nanovdb.header import info_of

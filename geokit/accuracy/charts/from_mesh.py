@@ -14,7 +14,7 @@ from geokit.accuracy.trials.running import failed, judged, setting_of
 
 if TYPE_CHECKING:
     from geokit.accuracy.charts.volume_setup import Known, NearSurface
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["from_mesh_chart"]
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from geokit.accuracy.charts.volume_points import VolumePoints
     from geokit.accuracy.charts.volume_setup import Known, NearSurface
     from geokit.mesh.model.triangle_mesh import TriangleMesh
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["gradients_chart", "sdf_gradients_chart"]
 

@@ -16,7 +16,7 @@ from geokit.accuracy.trials.running import judged, on_host, send, setting_of
 
 if TYPE_CHECKING:
     from geokit.accuracy.charts.points_setup import PointsSetup
-    from geokit.points._neighbors import NeighborGrid
+    from geokit.points.neighbors.neighbor_grid import NeighborGrid
 
 __all__ = ["nearest_chart", "neighbors_chart"]
 
@@ -50,7 +50,7 @@ def _radius_trials(setup: PointsSetup) -> Iterator[Trial]:
     import warp as wp
 
     from geokit.accuracy.charts.raw_queries import raw_radius_count
-    from geokit.points._neighbors import NeighborGrid
+    from geokit.points.neighbors.neighbor_grid import NeighborGrid
 
     queries, radius = send(setup.queries, setup.device), setup.radius
     single = wp.array(setup.queries.astype(np.float32), dtype=wp.vec3f, device=setup.device)
@@ -86,7 +86,7 @@ def _radius_trials(setup: PointsSetup) -> Iterator[Trial]:
 def _nearest_trials(setup: PointsSetup) -> Iterator[Trial]:
     import warp as wp
 
-    from geokit.points._neighbors import NeighborGrid
+    from geokit.points.neighbors.neighbor_grid import NeighborGrid
 
     grid = NeighborGrid(setup.points, setup.radius, device=setup.device)
     grid.knn(setup.queries[:1])  # builds the tree

@@ -51,7 +51,7 @@ class PointsSetup:
     @cached_property
     def radius(self) -> float:
         """Default radius of a NeighborGrid over the points [world], rounded to three digits."""
-        from geokit.points._neighbors import NeighborGrid
+        from geokit.points.neighbors.neighbor_grid import NeighborGrid
 
         return float(f"{NeighborGrid(self.points, device=self.device).radius:.3g}")
 

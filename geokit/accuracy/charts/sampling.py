@@ -12,7 +12,7 @@ from geokit.accuracy.trials.running import failed, judged, on_host, send, settin
 if TYPE_CHECKING:
     from geokit.accuracy.charts.volume_points import VolumePoints
     from geokit.accuracy.charts.volume_setup import NearSurface
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["sampling_chart", "sdf_sampling_chart"]
 

@@ -14,7 +14,7 @@ from geokit.errors import UnsupportedGridError
 from geokit.volume.nanovdb.types import QUANTIZED
 
 if TYPE_CHECKING:
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["VolumePoints"]
 

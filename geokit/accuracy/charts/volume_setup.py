@@ -16,7 +16,7 @@ from geokit.accuracy.trials.running import without_warnings
 if TYPE_CHECKING:
     from geokit.mesh._surface import Surface
     from geokit.mesh.model.triangle_mesh import TriangleMesh
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = [
     "CODECS",

@@ -143,7 +143,7 @@ def duplicates(copies: float, *, seed: int = 0, device: Any = None) -> Judgement
 
 def nearest(k: float, *, seed: int = 0, device: Any = None) -> Judgement:
     """The k nearest points of a cloud in which some points coincide; errors are relative to the distance."""
-    from geokit.points._neighbors import NeighborGrid
+    from geokit.points.neighbors.neighbor_grid import NeighborGrid
 
     random = np.random.default_rng(seed)
     points = random.random((MANY, 3))
@@ -158,7 +158,7 @@ def nearest(k: float, *, seed: int = 0, device: Any = None) -> Judgement:
 
 def _searched(points: Floats, cell: float, radius: float, seed: int, device: Any) -> Judgement:
     """Radius search against the reference: a different set or count is wrong; errors are in radii."""
-    from geokit.points._neighbors import NeighborGrid
+    from geokit.points.neighbors.neighbor_grid import NeighborGrid
 
     queries = points[np.random.default_rng([seed, 1]).permutation(len(points))[:ASKED]]
     grid = NeighborGrid(points, cell, device=device)

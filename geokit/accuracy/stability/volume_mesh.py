@@ -16,7 +16,7 @@ from geokit.accuracy.trials.model import Envelope, Judgement, Sweep
 
 if TYPE_CHECKING:
     from geokit.mesh.model.triangle_mesh import TriangleMesh
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["sweeps"]
 

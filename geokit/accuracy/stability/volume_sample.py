@@ -12,7 +12,7 @@ from geokit.accuracy.stability.fields import MIDDLE, ball, field, level_set, uni
 from geokit.accuracy.trials.model import Envelope, Judgement, Sweep
 
 if TYPE_CHECKING:
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["sweeps"]
 

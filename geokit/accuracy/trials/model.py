@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from geokit.mesh.model.triangle_mesh import TriangleMesh
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["Chart", "Envelope", "Judgement", "Measurement", "Subject", "Sweep", "Trial"]
 

@@ -18,7 +18,7 @@ from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 if TYPE_CHECKING:
     from geokit.mesh import RayHits
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["FIGURES", "accuracy_chart", "draw_figures"]
 

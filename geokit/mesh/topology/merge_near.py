@@ -42,7 +42,7 @@ def merge_near_points(points: NDArray[np.float64], tolerance: float) -> tuple[ND
 
 def _pairs_within(points: NDArray[np.float64], tolerance: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """All pairs of points within the tolerance, sorted by the earlier point."""
-    from geokit.points._neighbors import NeighborGrid
+    from geokit.points.neighbors.neighbor_grid import NeighborGrid
 
     # Scaled to unit size, so that squares of lengths neither overflow nor underflow; a power of two does not round.
     exponent = -math.frexp(float(np.abs(points).max()))[1]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from geokit.core.gradients.library import Library, length
 from geokit.core.gradients.rules import Asked, Rule
 from geokit.errors import InputError
-from geokit.points._neighbors import NeighborGrid
+from geokit.points.neighbors.neighbor_grid import NeighborGrid
 
 __all__ = ["DENSITY"]
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geokit.core import launcher
-from geokit.points._neighbors import NeighborGrid
+from geokit.points.neighbors.neighbor_grid import NeighborGrid
 
 if TYPE_CHECKING:
     import warp as wp

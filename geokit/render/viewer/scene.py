@@ -17,7 +17,7 @@ from geokit.points._io import PointCloud
 from geokit.render._checks import DIVERGING, SEQUENTIAL
 from geokit.render.viewer.surfaces import cloud_record, mesh_record, require_content
 from geokit.render.viewer.volumes import volume_record
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 
 if TYPE_CHECKING:
     from geokit.render.viewer.arrays import Arrays

@@ -15,7 +15,7 @@ from geokit.volume._sample import sample
 if TYPE_CHECKING:
     from geokit.render.viewer.arrays import Arrays
     from geokit.render.viewer.scene import Frame
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["volume_record"]
 

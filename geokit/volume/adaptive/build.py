@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from geokit.volume._model import SparseVolume
 from geokit.volume._quantize import quantize
 from geokit.volume.adaptive.cells import CellLattice, cells_of, keys_of, spread_keys
 from geokit.volume.adaptive.level_sizes import band_lattice
@@ -12,6 +11,7 @@ from geokit.volume.adaptive.refine import Refinement
 from geokit.volume.adaptive.storage import Storage
 from geokit.volume.band.band import BandShape, build_band, make_band
 from geokit.volume.band.fields import grid_head, volume_from_built
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import info_of
 from geokit.volume.nanovdb.layout import LEAF_VOXELS
 from geokit.volume.nanovdb.provenance import ORDER, with_more

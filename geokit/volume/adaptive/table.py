@@ -9,7 +9,7 @@ import numpy as np
 
 from geokit.core import launcher
 from geokit.errors import InputError
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.layout import GRID_TYPES, layout_of
 from geokit.volume.sampling.leaf_table import SPAN, _make
 from geokit.volume.tolerance.interpolation_errors import STENCILS

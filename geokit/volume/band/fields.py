@@ -14,9 +14,9 @@ from geokit.core.interop.types import MeshLike
 from geokit.core.require import described, require_choice
 from geokit.errors import InputError, MissingDependencyError
 from geokit.mesh.sign.queries import SIGN_METHODS
-from geokit.volume._model import SparseVolume, made_on_device
 from geokit.volume.band.band import BandShape
 from geokit.volume.band.tiles import Lattice
+from geokit.volume.model.sparse_volume import SparseVolume, made_on_device
 from geokit.volume.nanovdb.header import info_of
 from geokit.volume.nanovdb.provenance import INTERIOR, content_hash, provenance, world_metadata
 from geokit.volume.tree.grid_head import checked_head

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from geokit.core.memory import available_memory
 from geokit.errors import DeviceMemoryError
-from geokit.volume._model import SparseVolume
 from geokit.volume.components.labels import CELL_SPANS, Labels, Rows
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import info_of
 from geokit.volume.nanovdb.layout import LAYOUTS, LOWER_SLOTS, UPPER_SLOTS
 from geokit.volume.nanovdb.nodes import slot_of

@@ -17,7 +17,7 @@ from geokit.core.content_limit import require_content
 from geokit.core.memory import available_memory
 from geokit.errors import DeviceMemoryError, FileFormatError, InputError
 from geokit.formats.images.image import Image, affine
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.grid_info import GridInfo
 from geokit.volume.nanovdb.header import info_of, voxel_size_of
 from geokit.volume.nanovdb.header_options import checked_transform

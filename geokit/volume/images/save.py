@@ -21,7 +21,7 @@ from geokit.errors import FileAccessError, GeokitError, InputError
 from geokit.formats.images.image import LARGEST_COSINE, METERS, Image, affine
 from geokit.formats.images.stream import rows_at_a_time
 from geokit.formats.table import FORMATS, ZARR, image_module
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.provenance import SPACE, UNIT, world_metadata
 from geokit.volume.nanovdb.types import QUANTIZED
 

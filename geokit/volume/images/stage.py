@@ -20,7 +20,7 @@ from geokit.core.require import require_one_world
 from geokit.errors import FileFormatError, GeokitError, InputError, UnsupportedGridError
 from geokit.formats.reader import process, trusted
 from geokit.formats.references import allowed_folders
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.checks import mark_checked
 from geokit.volume.nanovdb.checksum import partial_checksum
 from geokit.volume.nanovdb.grid_info import GridInfo

@@ -13,10 +13,10 @@ import numpy as np
 
 from geokit.core.memory.device_arena import Scratch
 from geokit.core.memory.pinned import host_flags
-from geokit.volume._model import SparseVolume
 from geokit.volume.isosurface.launch import GRAIN, fill_offsets, launch_even, require_memory
 from geokit.volume.isosurface.nodes import Topology, topology_of
 from geokit.volume.isosurface.tile_border_cells import add_border_blocks, border_origins
+from geokit.volume.model.sparse_volume import SparseVolume
 
 if TYPE_CHECKING:
     import warp as wp

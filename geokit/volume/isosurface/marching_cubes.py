@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 from geokit.core.memory.device_arena import Scratch
 from geokit.core.memory.pinned import host_flags
-from geokit.volume._model import SparseVolume
 from geokit.volume.isosurface.cells import crossed_cells
 from geokit.volume.isosurface.launch import PLANES, fill_offsets, launch_planes, require_memory, used_only
 from geokit.volume.isosurface.marching_cubes_cases import triangle_table
+from geokit.volume.model.sparse_volume import SparseVolume
 
 if TYPE_CHECKING:
     import warp as wp

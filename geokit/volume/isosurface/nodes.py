@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.volume._model import SparseVolume
 from geokit.volume.isosurface.large_tiles import LargeTileBorders, large_tile_borders
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.layout import GridLayout
 from geokit.volume.nanovdb.nodes import NodePlaces, grid_nodes, set_bits
 from geokit.volume.nanovdb.upload import above_leaves

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from geokit.core import launcher
 from geokit.core.memory.device_arena import Scratch, ScratchArray
 from geokit.core.memory.pinned import host_flags
-from geokit.volume._model import SparseVolume
 from geokit.volume.isosurface.cells import CrossedCells, crossed_cells
 from geokit.volume.isosurface.launch import PLANES, fill_offsets, launch_planes, require_memory, used_only
 from geokit.volume.isosurface.marching_cubes_cases import loop_table, sum_table
+from geokit.volume.model.sparse_volume import SparseVolume
 
 if TYPE_CHECKING:
     import warp as wp

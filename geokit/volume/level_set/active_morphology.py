@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from geokit.core import launcher
 from geokit.core.require import require_choice
-from geokit.volume._model import SparseVolume
 from geokit.volume.level_set.leaf_neighbors import AROUND, LinkedLeaves
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.nodes import bits_of
 from geokit.volume.tree.estimates import FARTHEST_TILE
 from geokit.volume.tree.leaves import LEAF_VOXELS, Leaves, dequantized, require_volume

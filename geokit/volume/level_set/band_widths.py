@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.checks import check_volume
 from geokit.volume.nanovdb.layout import LAYOUTS
 from geokit.volume.nanovdb.nodes import bits_of, grid_nodes

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from geokit.core import launcher
 from geokit.mesh._surface import Surface
 from geokit.mesh.model.triangle_mesh import TriangleMesh
-from geokit.points._neighbors import NeighborGrid
-from geokit.volume._model import SparseVolume
+from geokit.points.neighbors.neighbor_grid import NeighborGrid
 from geokit.volume._sample import sample
 from geokit.volume.isosurface.surface_nets import surface_nets
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.nodes import grid_nodes, set_bits, slot_places
 from geokit.volume.tree.leaves import assemble, dequantized, leaves_of
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from geokit.core import launcher
 from geokit.core.memory import available_memory
 from geokit.errors import DeviceMemoryError, InputError
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.types import QUANTIZED
 from geokit.volume.tree.estimates import require_places
 from geokit.volume.tree.leaves import Leaves, leaves_of, voxelized

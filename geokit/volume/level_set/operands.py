@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from geokit.errors import InputError
-from geokit.volume._model import SparseVolume
 from geokit.volume.level_set.band_widths import BAND_TOLERANCE, widths_of
 from geokit.volume.level_set.redistance import redistance
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.tree.leaves import require_volume, uniform_voxel_size
 
 __all__ = ["require_level_set", "with_band"]

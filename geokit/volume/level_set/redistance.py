@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from geokit.core import launcher
 from geokit.core.scan import prefix_sum
-from geokit.volume._model import SparseVolume, made_on_device
 from geokit.volume.level_set.band_widths import widths_of
 from geokit.volume.level_set.leaf_neighbors import AROUND, LinkedLeaves
 from geokit.volume.level_set.sharp_edges import hold_beyond_edges
+from geokit.volume.model.sparse_volume import SparseVolume, made_on_device
 from geokit.volume.nanovdb.header import info_of
 from geokit.volume.nanovdb.layout import LAYOUTS
 from geokit.volume.tree.device_leaves import leaf_keys

@@ -19,7 +19,7 @@ from geokit.volume.nanovdb.layout import ALIGNMENT, INDEX_LAYOUTS, LEAF_VOXELS, 
 from geokit.volume.nanovdb.nodes import GridNodes, NodeLevel, bits_of, grid_nodes, root_origins, set_bits, slot_places
 
 if TYPE_CHECKING:
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["check_grid", "check_head", "check_volume", "mark_checked"]
 

@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 from geokit.formats.images.image import METERS
 
 if TYPE_CHECKING:
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = [
     "ACHIEVED_999",

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import warp as wp
     from numpy.typing import NDArray
 
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["above_leaves", "download", "upload"]
 

@@ -30,7 +30,7 @@ from geokit.volume.nanovdb.header import (
 from geokit.volume.nanovdb.metadata import body_with_metadata
 
 if TYPE_CHECKING:
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["file_metadata", "file_version", "segment_start", "write"]
 

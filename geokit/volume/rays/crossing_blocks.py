@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from geokit.core import launcher
 from geokit.core.launches import replay
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.rays.ray_field import LEAF_SPAN, anchor_of, stored_box
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from geokit.volume.tree.leaves import value_places
 if TYPE_CHECKING:
     import warp as wp
 
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["INTEGRATE"]
 

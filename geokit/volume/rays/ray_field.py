@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from geokit.core import user_arrays
 from geokit.errors import UnsupportedGridError
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.checks import check_volume
 from geokit.volume.nanovdb.nodes import bits_of, grid_nodes, root_origins
 from geokit.volume.nanovdb.types import SCALAR_TYPES

@@ -18,7 +18,7 @@ from geokit.core.gradients.library import Library, dot
 from geokit.core.gradients.rules import Asked, Rule, untracked
 from geokit.core.interop.arrays import reinterpreted
 from geokit.errors import InputError
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.nodes import set_bits
 from geokit.volume.nanovdb.types import COMPONENTS
 from geokit.volume.sampling.kernel_table import query_kernel

@@ -13,7 +13,7 @@ from geokit.core.memory.available_memory import available
 if TYPE_CHECKING:
     import warp as wp
 
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["leaf_table", "made_table"]
 

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geokit.core.require import require_choice
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 
 if TYPE_CHECKING:
     import warp as wp
 
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["SPACES", "query_inputs", "require_space", "world_to_index"]
 

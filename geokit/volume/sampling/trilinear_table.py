@@ -14,7 +14,7 @@ from geokit.volume.sampling.space import world_to_index
 if TYPE_CHECKING:
     import warp as wp
 
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["gradient_linear", "sample_and_slopes", "sample_linear"]
 

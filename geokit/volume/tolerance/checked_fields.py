@@ -14,7 +14,7 @@ from geokit.volume.tolerance.search import Search, Setting, quickest
 from geokit.volume.tolerance.zone import Zone
 
 if TYPE_CHECKING:
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["Achieved", "Made", "checked_errors", "made_within"]
 

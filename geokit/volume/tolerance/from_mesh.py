@@ -31,7 +31,7 @@ from geokit.volume.tree.leaf_codecs import LeafReader
 
 if TYPE_CHECKING:
     from geokit.mesh._surface import Surface
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["make_setting", "tolerance_search", "within_tolerance"]
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from geokit.core.memory import available_memory
 from geokit.errors import DeviceMemoryError
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.layout import LEAF_VOXELS
 from geokit.volume.nanovdb.nodes import bits_of
 from geokit.volume.tree.typed_tree import Nodes, TypedTree, differs, tree_of

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from geokit.core.memory import available_memory
 from geokit.core.memory.needs import require_free
 from geokit.errors import DeviceMemoryError, InputError
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.checks import check_volume
 from geokit.volume.nanovdb.layout import LEAF_VOXELS
 from geokit.volume.nanovdb.nodes import grid_nodes, root_origins

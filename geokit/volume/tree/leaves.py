@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.errors import InputError, UnsupportedGridError
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.checks import check_volume
 from geokit.volume.nanovdb.checksum import partial_checksum
 from geokit.volume.nanovdb.header import (

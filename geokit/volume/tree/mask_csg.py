@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.errors import InputError
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.nodes import bits_of
 from geokit.volume.tree.leaves import require_volume
 from geokit.volume.tree.typed_tree import rows_in, tree_of, tree_of_leaves, voxelized_tree

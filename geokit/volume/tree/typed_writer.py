@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core.launcher import pool
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.checksum import partial_checksum
 from geokit.volume.nanovdb.header import (
     BLIND_CLASS_NAME,

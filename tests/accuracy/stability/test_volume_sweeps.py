@@ -17,7 +17,7 @@ from geokit.accuracy.stability import volume_sample as samples
 from geokit.accuracy.stability.volume import volume_sweeps
 from geokit.errors import InputError
 from geokit.mesh.model.triangle_mesh import TriangleMesh
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 
 SWEEPS = {sweep.name: sweep for sweep in volume_sweeps("cpu")}
 NO_FAILURE = "no failure found"

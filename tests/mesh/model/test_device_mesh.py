@@ -21,7 +21,7 @@ from benchmarks.catalog.typed_grids import TypedGrid
 from geokit.mesh import Surface, TriangleMesh
 from geokit.mesh.model import device_mesh as device_mesh_module
 from geokit.mesh.model.device_mesh import arrays_on, box_of, mesh_on_device
-from geokit.volume._model import SparseVolume, made_on_device
+from geokit.volume.model.sparse_volume import SparseVolume, made_on_device
 from geokit.volume.nanovdb.header import info_of
 from tests.support.devices import DEVICES
 

@@ -11,9 +11,9 @@ from benchmarks.catalog.typed_grids import TypedGrid
 from geokit.errors import DeviceMemoryError, InputError, UnsupportedGridError
 from geokit.volume._components import connected_components, segment
 from geokit.volume._dense import from_dense
-from geokit.volume._model import SparseVolume
 from geokit.volume._topology import prune
 from geokit.volume.components import labels as labels_module
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.tree.typed_tree import tree_of
 from geokit.volume.tree.typed_writer import rebuilt

@@ -12,7 +12,7 @@ from geokit.mesh._from_volume import from_volume
 from geokit.mesh._surface import Surface
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.volume._from_mesh import from_mesh
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import info_of
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*has no surface at:UserWarning")

@@ -10,8 +10,8 @@ import pytest
 import geokit as gk
 from geokit.errors import DeviceMemoryError
 from geokit.mesh._from_volume import from_volume
-from geokit.volume._model import SparseVolume
 from geokit.volume.isosurface.nodes import topology_of
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.layout import LAYOUTS
 from geokit.volume.tree import estimates
 from geokit.volume.tree.typed_tree import Nodes, RootTiles, tree_of_leaves

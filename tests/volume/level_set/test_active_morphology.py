@@ -10,9 +10,9 @@ from scipy import ndimage
 
 from geokit import native
 from geokit.errors import InputError, UnsupportedGridError
-from geokit.volume._model import SparseVolume
 from geokit.volume._morphology import dilate, erode
 from geokit.volume._topology import clip
+from geokit.volume.model.sparse_volume import SparseVolume
 from tests.support.analytic_volumes import ball, dense, field, level_set
 from tests.support.scipy_morphology import CONNECTIVITY, GEOKIT, SCIPY
 

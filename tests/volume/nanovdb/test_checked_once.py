@@ -14,7 +14,7 @@ from benchmarks.catalog.typed_grids import TypedGrid
 from geokit import native
 from geokit.errors import FileFormatError, GeokitError, InputError
 from geokit.volume import load, save
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb import checks
 from geokit.volume.nanovdb.header import TREE_OFFSET, aligned_buffer, info_of, tree_header
 from geokit.volume.tree.leaves import leaves_of

@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.catalog.sphere_volumes import sphere
 from geokit.errors import FileFormatError, UnsupportedGridError
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.file import inspect, read
 from geokit.volume.nanovdb.header import BLIND_DATA, info_of
 from geokit.volume.nanovdb.write import write

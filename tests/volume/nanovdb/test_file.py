@@ -25,7 +25,7 @@ from geokit.errors import (
     MissingDependencyError,
     UnsupportedGridError,
 )
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb import file as nvdb_file
 from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.checksum import checksum_matches, checksum_mode, full_checksum, partial_checksum

@@ -11,7 +11,7 @@ from benchmarks.catalog.sphere_volumes import sphere
 from geokit.errors import FileFormatError, InputError
 from geokit.native import RawMetadata
 from geokit.volume._from_channel import from_channel
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb import metadata as nvdb_metadata
 from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.checksum import checksum_matches, full_checksum, partial_checksum

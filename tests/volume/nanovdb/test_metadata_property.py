@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from benchmarks.catalog.sphere_volumes import sphere
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.file import read
 from geokit.volume.nanovdb.header import info_of
 from geokit.volume.nanovdb.write import write

@@ -9,7 +9,7 @@ import geokit as gk
 from benchmarks.catalog.mesh_catalog import torus
 from benchmarks.catalog.typed_grids import VALUED, TypedGrid
 from geokit.errors import FileFormatError
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.header import aligned_buffer
 from geokit.volume.nanovdb.nodes import GridNodes, grid_nodes

@@ -9,7 +9,7 @@ import geokit
 from benchmarks.catalog.sphere_volumes import sphere
 from geokit import native
 from geokit.volume import load, save
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.file import read
 from geokit.volume.nanovdb.header import info_of
 from geokit.volume.nanovdb.provenance import content_hash, provenance, with_error

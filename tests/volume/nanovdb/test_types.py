@@ -21,9 +21,9 @@ from geokit.cli._storage import QUANTIZATIONS
 from geokit.errors import GeokitError, InputError, UnsupportedGridError
 from geokit.native import VdbGrid
 from geokit.volume._dense import from_dense, to_dense
-from geokit.volume._model import SparseVolume
 from geokit.volume._quantize import CODECS, SOURCES, quantize
 from geokit.volume._sample import sample
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import GRID_CLASSES, aligned_buffer, info_of
 from geokit.volume.nanovdb.layout import INDEX_LAYOUTS, LAYOUTS
 from geokit.volume.nanovdb.read_voxel_kernels import FLOAT_TYPE

@@ -13,8 +13,8 @@ from benchmarks.catalog.typed_grids import QUANTIZED, SCALARS, TypedGrid
 from geokit import native
 from geokit.core import launcher
 from geokit.errors import InputError, UnsupportedGridError
-from geokit.volume._model import SparseVolume
 from geokit.volume._raycast import raycast
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import aligned_buffer, info_of
 from geokit.volume.rays import crossing_blocks
 from geokit.volume.rays.crossing_blocks_kernels import FARTHEST, spread_distance_kernel

@@ -11,7 +11,7 @@ from benchmarks.catalog.sphere_volumes import sphere, sphere_leaves
 from benchmarks.catalog.typed_grids import VALUED, TypedGrid
 from geokit.errors import InputError, UnsupportedGridError
 from geokit.volume._active import active_at
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import HEAD_SIZE, info_of, tree_header
 
 TREE = 672

@@ -10,8 +10,8 @@ from benchmarks.catalog.sphere_volumes import VOXELS
 from benchmarks.catalog.typed_grids import QUANTIZED, VALUED, TypedGrid
 from geokit.errors import InputError, UnsupportedGridError
 from geokit.volume._curvature import Curvatures, curvature, hessian
-from geokit.volume._model import SparseVolume
 from geokit.volume._sample import gradient
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import info_of
 from tests.support.effort import of_all
 from tests.support.reference import tensor_interpolant

@@ -9,8 +9,8 @@ from benchmarks.catalog.float_grids import build_float_grid
 from benchmarks.catalog.sphere_volumes import sphere_leaves
 from geokit.volume._active import active_at
 from geokit.volume._curvature import curvature
-from geokit.volume._model import SparseVolume
 from geokit.volume._sample import gradient, sample
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import info_of
 
 RADIUS = 30.0

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from benchmarks.catalog.float_grids import build_float_grid
 from geokit.volume._curvature import hessian
-from geokit.volume._model import SparseVolume
 from geokit.volume._sample import gradient, sample
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import info_of
 
 EXAMPLES = settings(max_examples=25, deadline=None)

@@ -7,8 +7,8 @@ import pytest
 
 from geokit import native
 from geokit.errors import InputError, UnsupportedGridError
-from geokit.volume._model import SparseVolume
 from geokit.volume._resample import resample
+from geokit.volume.model.sparse_volume import SparseVolume
 from tests.support.analytic_volumes import SHEARED, TURNED, active_voxels, ball, cubes, dense, field, level_set
 
 pytestmark = pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")

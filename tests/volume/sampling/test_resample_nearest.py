@@ -14,8 +14,8 @@ from geokit.errors import DeviceMemoryError, InputError, UnsupportedGridError
 from geokit.volume._csg import union
 from geokit.volume._dense import from_dense, to_dense
 from geokit.volume._io import save
-from geokit.volume._model import SparseVolume
 from geokit.volume._resample import resample
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.checksum import checksum_matches
 from geokit.volume.nanovdb.header import grid_header, tree_header

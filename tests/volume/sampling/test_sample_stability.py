@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from benchmarks.catalog.float_grids import build_float_grid
-from geokit.volume._model import SparseVolume
 from geokit.volume._sample import gradient, sample
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import info_of
 
 # Fractions with 20 bits: together with coordinates below 2^31 they are exact in float64.

@@ -9,8 +9,8 @@ import pytest
 
 from benchmarks.catalog.typed_grids import TypedGrid
 from geokit import native
-from geokit.volume._model import SparseVolume
 from geokit.volume._sample import gradient, sample
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import aligned_buffer, grid_class_code, grid_header, info_of
 from tests.support.reference import tensor_interpolant
 

@@ -8,7 +8,7 @@ from benchmarks.catalog.float_grids import build_float_grid
 from geokit.core import launcher
 from geokit.errors import InputError
 from geokit.volume import gradient, sample
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import info_of
 from geokit.volume.sampling import leaf_table, trilinear_table
 

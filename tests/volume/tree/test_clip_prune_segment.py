@@ -10,9 +10,9 @@ from geokit.errors import FileFormatError, InputError, UnsupportedGridError
 from geokit.volume._components import segment
 from geokit.volume._csg import difference, union
 from geokit.volume._dense import from_dense
-from geokit.volume._model import SparseVolume
 from geokit.volume._morphology import erode
 from geokit.volume._topology import clip, prune
+from geokit.volume.model.sparse_volume import SparseVolume
 from tests.support.analytic_volumes import SHEARED, TURNED, active_voxels, ball, dense, field, level_set
 
 pytestmark = pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")

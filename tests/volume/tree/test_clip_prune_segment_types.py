@@ -17,11 +17,11 @@ from geokit.volume._csg import union
 from geokit.volume._differential import divergence, gradient_field, laplacian
 from geokit.volume._filters import smooth
 from geokit.volume._io import save
-from geokit.volume._model import SparseVolume
 from geokit.volume._morphology import dilate, renormalize
 from geokit.volume._resample import resample
 from geokit.volume._statistics import statistics
 from geokit.volume._topology import clip, prune
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.header import tree_header
 from geokit.volume.tree.typed_tree import VALUE_TYPES

@@ -12,7 +12,7 @@ from benchmarks.catalog.typed_grids import VALUED, TypedGrid
 from geokit.core.memory import available_memory
 from geokit.errors import DeviceMemoryError, InputError, UnsupportedGridError
 from geokit.volume._dense import from_dense, to_dense
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.checksum import checksum_matches
 from geokit.volume.nanovdb.header import info_of, tree_header

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.catalog.sphere_volumes import ROTATED, lookup, sphere_leaves
 from geokit.errors import InputError
-from geokit.volume._model import SparseVolume
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.checksum import checksum_matches
 from geokit.volume.nanovdb.header import info_of

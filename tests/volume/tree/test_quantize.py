@@ -15,8 +15,8 @@ from geokit import native
 from geokit.errors import InputError, UnsupportedGridError
 from geokit.volume import load, load_all, save
 from geokit.volume._dense import to_dense
-from geokit.volume._model import SparseVolume
 from geokit.volume._quantize import quantize
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.checksum import checksum_matches
 from geokit.volume.nanovdb.file import read

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from benchmarks.catalog.float_grids import build_float_grid
 from geokit.errors import InputError
 from geokit.volume._dense import to_dense
-from geokit.volume._model import SparseVolume
 from geokit.volume._quantize import quantize
 from geokit.volume._sample import sample
+from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.header import info_of
 from tests.support.effort import of_all

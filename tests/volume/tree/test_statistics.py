@@ -68,7 +68,7 @@ def test_refusals():
         statistics(None)
     import dataclasses
 
-    from geokit.volume._model import SparseVolume
+    from geokit.volume.model.sparse_volume import SparseVolume
 
     source = field(ball(3.0))
     with pytest.raises(UnsupportedGridError, match="type rgba8"):

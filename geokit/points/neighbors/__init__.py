@@ -1,0 +1,1 @@
+"""NeighborGrid: points that are sorted once and asked for their neighbors often."""
