@@ -14,7 +14,7 @@ from geokit.accuracy.trials.time_left import time_left
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_callable, require_flag, require_items
 from geokit.errors import InputError
-from geokit.mesh._objects import require_mesh
+from geokit.mesh.surfaces.objects import require_mesh
 from geokit.volume.tree.leaves import require_volume
 
 if TYPE_CHECKING:

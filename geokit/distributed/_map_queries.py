@@ -14,7 +14,7 @@ from geokit._packages import require_package
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_choice
 from geokit.errors import InputError
-from geokit.mesh._surface import Surface
+from geokit.mesh.surfaces.surface import Surface
 from geokit.points.neighbors.neighbor_grid import NeighborGrid
 from geokit.volume.model.sparse_volume import SparseVolume
 

@@ -4,12 +4,12 @@ from .model.data import Material as Material, Texture as Texture
 from ._io import load as load, save as save
 
 # Meshes of other libraries, in and out.
-from ._objects import as_mesh as as_mesh
+from .surfaces.objects import as_mesh as as_mesh
 from ._convert import to_meshio as to_meshio, to_open3d as to_open3d, to_pyvista as to_pyvista, to_trimesh as to_trimesh
 
 # Queries: a surface is prepared once and queried often.
-from ._surface import Surface as Surface
-from ._surfaces import Surfaces as Surfaces
+from .surfaces.surface import Surface as Surface
+from .surfaces.surfaces import Surfaces as Surfaces
 from .queries.points import ClosestPoints as ClosestPoints, FurthestPoints as FurthestPoints
 from .sign.queries import SignedDistances as SignedDistances
 from .queries.rays import RayHits as RayHits, RayHitLists as RayHitLists

@@ -13,8 +13,8 @@ from geokit.core.gradients.differentiable import of_constants
 from geokit.core.interop.types import Device, MeshLike
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_mapping, require_one_world
-from geokit.mesh._objects import require_mesh
 from geokit.mesh.model.device_mesh import vertices_near
+from geokit.mesh.surfaces.objects import require_mesh
 from geokit.volume.tree.leaves import require_volume
 
 if TYPE_CHECKING:

@@ -7,8 +7,8 @@ from dataclasses import replace
 from geokit.core.interop.types import MeshLike
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_flag
-from geokit.mesh._objects import require_mesh
 from geokit.mesh.model.triangle_mesh import TriangleMesh
+from geokit.mesh.surfaces.objects import require_mesh
 from geokit.mesh.topology.audit import MeshAudit, audit_topology
 from geokit.mesh.topology.connectivity import mesh_topology
 
@@ -47,6 +47,6 @@ def audit(mesh: MeshLike, *, self_intersections: bool = False) -> MeshAudit:
 def _self_intersection_count(mesh: TriangleMesh) -> int:
     if len(mesh.faces) == 0:
         return 0
-    from geokit.mesh._surface import Surface
+    from geokit.mesh.surfaces.surface import Surface
 
     return len(Surface(mesh, device="cpu").self_intersections())

@@ -15,10 +15,10 @@ from geokit.formats.attributes.held import what_is_held
 from geokit.formats.attributes.images import picture_of, pixels_of
 from geokit.formats.attributes.objects import UNITS
 from geokit.formats.table import Format
-from geokit.mesh._objects import require_mesh
 from geokit.mesh.attributes.derived import with_data
 from geokit.mesh.attributes.seams import split_seams
 from geokit.mesh.model.data import full_scale, has_meaning
+from geokit.mesh.surfaces.objects import require_mesh
 
 if TYPE_CHECKING:
     from geokit.mesh.model.data import Material

@@ -15,11 +15,11 @@ from geokit.core.memory.needs import needs
 from geokit.core.require import require_count, require_one_world
 from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
-from geokit.mesh._objects import require_mesh
 from geokit.mesh._sample_surface import BYTES_PER_SAMPLE, sample_surface, scaled_areas
-from geokit.mesh._surface import BYTES_PER_FACE, Surface
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.queries.hausdorff import DistanceSearch
+from geokit.mesh.surfaces.objects import require_mesh
+from geokit.mesh.surfaces.surface import BYTES_PER_FACE, Surface
 from geokit.mesh.topology.size_limits import require_measurable
 
 __all__ = ["DirectedDistance", "HausdorffDistance", "hausdorff"]

@@ -27,11 +27,11 @@ from geokit.formats.foreign import require_format
 from geokit.formats.reading_defaults import default_step, default_tolerance
 from geokit.formats.references import allowed_folders
 from geokit.formats.table import FORMATS, Format, extensions, module_of, with_formats
-from geokit.mesh._objects import require_mesh
 from geokit.mesh._unit import convert_unit
 from geokit.mesh.attributes.derived import with_data
 from geokit.mesh.model.data import checked_data
 from geokit.mesh.model.triangle_mesh import TriangleMesh
+from geokit.mesh.surfaces.objects import require_mesh
 
 __all__ = ["load", "save"]
 

@@ -14,9 +14,9 @@ from geokit.core.memory.needs import needs
 from geokit.core.require import require_flag
 from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
-from geokit.mesh._objects import require_mesh
 from geokit.mesh.attributes.derived import derived, moved_to_corners
 from geokit.mesh.model.triangle_mesh import TriangleMesh
+from geokit.mesh.surfaces.objects import require_mesh
 from geokit.mesh.topology.connectivity import collapsed_faces, position_corners
 from geokit.mesh.topology.measures import faces_without_area
 
@@ -69,7 +69,7 @@ def orient(mesh: MeshLike) -> OrientedMesh:
         ...     [[0, 2, 1], [0, 1, 3], [0, 3, 2], [3, 2, 1]])).flipped
         array([False, False, False,  True])
     """
-    from geokit.mesh._surface import Surface
+    from geokit.mesh.surfaces.surface import Surface
     from geokit.mesh.topology.orientation import orient_faces
 
     mesh = require_mesh(mesh, "mesh")

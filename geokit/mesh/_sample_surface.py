@@ -15,9 +15,9 @@ from geokit.core.memory.needs import needs
 from geokit.core.require import require_choice, require_count
 from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import DeviceMemoryError, InputError
-from geokit.mesh._objects import require_mesh
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.queries import poisson_disk
+from geokit.mesh.surfaces.objects import require_mesh
 
 __all__ = ["SurfaceSamples", "sample_surface", "samples_bytes", "scaled_areas", "total_area"]
 

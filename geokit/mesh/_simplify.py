@@ -15,12 +15,12 @@ from geokit.core.memory.needs import needs
 from geokit.core.require import require_callable, require_count
 from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
-from geokit.mesh._objects import require_mesh
 from geokit.mesh.attributes.derived import with_data
 from geokit.mesh.model.triangle_mesh import TriangleMesh
+from geokit.mesh.surfaces.objects import require_mesh
 
 if TYPE_CHECKING:
-    from geokit.mesh._surface import Surface
+    from geokit.mesh.surfaces.surface import Surface
 
 __all__ = ["Simplified", "simplify"]
 
@@ -190,8 +190,8 @@ class _Original:
 
     def __init__(self, mesh: TriangleMesh, device: Any) -> None:
         from geokit.core.frame import Frame
-        from geokit.mesh._surface import Surface
         from geokit.mesh.simplification.invariants import shape_of
+        from geokit.mesh.surfaces.surface import Surface
 
         self.said: Any = {key: getattr(mesh, key) for key in ("name", "meters_per_unit", "up_axis")}
         self.vertices, faces = _one_vertex_a_position(mesh)
@@ -249,7 +249,7 @@ class _Original:
     def bounded(self, found: TriangleMesh, width: float) -> tuple[Surface, float]:
         """The surface of a mesh at unit size, and an upper bound of its deviation."""
         from geokit.mesh._hausdorff import hausdorff
-        from geokit.mesh._surface import Surface
+        from geokit.mesh.surfaces.surface import Surface
 
         surface = Surface(found, device=self.device)
         corners = np.concatenate([self.local.bounds, found.bounds])

@@ -10,9 +10,9 @@ from geokit.core.memory.needs import needs
 from geokit.core.require import require_choice, require_count
 from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
-from geokit.mesh._objects import require_mesh
 from geokit.mesh.attributes.derived import derived
 from geokit.mesh.model.triangle_mesh import TriangleMesh
+from geokit.mesh.surfaces.objects import require_mesh
 from geokit.mesh.topology.audit import face_parts
 from geokit.mesh.topology.measures import measure_faces
 

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from geokit.core.interop.types import Device, MeshLike
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_one_world
-from geokit.mesh._objects import require_mesh
-from geokit.mesh._surface import Surface
 from geokit.mesh.attributes.derived import with_data
 from geokit.mesh.attributes.interpolation import (
     chosen_names,
@@ -23,6 +21,8 @@ from geokit.mesh.attributes.interpolation import (
 )
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.simplification.invariants import alike_near
+from geokit.mesh.surfaces.objects import require_mesh
+from geokit.mesh.surfaces.surface import Surface
 
 __all__ = ["transfer_attributes"]
 

@@ -10,9 +10,9 @@ from geokit.core.memory.needs import needs
 from geokit.core.memory.row_products import row_product
 from geokit.core.require import require_affine
 from geokit.errors import InputError
-from geokit.mesh._objects import require_mesh
 from geokit.mesh.attributes.derived import derived, turned_normals, with_data
 from geokit.mesh.model.triangle_mesh import TriangleMesh
+from geokit.mesh.surfaces.objects import require_mesh
 
 __all__ = ["transform"]
 

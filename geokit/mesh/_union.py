@@ -10,9 +10,9 @@ from geokit.core.interop.types import MeshLike
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_one_world
 from geokit.errors import InputError
-from geokit.mesh._objects import require_mesh
 from geokit.mesh.attributes.derived import derived
 from geokit.mesh.model.triangle_mesh import MeshPart, TriangleMesh, trusted_mesh
+from geokit.mesh.surfaces.objects import require_mesh
 
 __all__ = ["union"]
 
@@ -60,8 +60,8 @@ def union(mesh: MeshLike, *others: MeshLike) -> TriangleMesh:
         >>> both.area, both.volume
         (10.0, 2.0)
     """
-    from geokit.mesh._surface import Surface
     from geokit.mesh.solids.boundary import boundary_of
+    from geokit.mesh.surfaces.surface import Surface
 
     if isinstance(mesh, (list, tuple)) and mesh and all(isinstance(one, TriangleMesh) for one in mesh):
         raise InputError(f"mesh: a {type(mesh).__name__} of meshes; give each of them: union(*meshes)")

@@ -12,10 +12,10 @@ from geokit.core.memory.needs import needs
 from geokit.core.require import described, require_choice, require_number
 from geokit.errors import InputError
 from geokit.formats.attributes.objects import UNITS
-from geokit.mesh._objects import require_mesh
 from geokit.mesh._transform import transform
 from geokit.mesh.attributes.derived import with_data
 from geokit.mesh.model.triangle_mesh import TriangleMesh
+from geokit.mesh.surfaces.objects import require_mesh
 
 __all__ = ["convert_unit", "meters_in"]
 

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from geokit.mesh._surface import Surface
     from geokit.mesh.model.triangle_mesh import TriangleMesh
     from geokit.mesh.queries.points import ClosestPoints
     from geokit.mesh.sign.queries import SignedDistances
+    from geokit.mesh.surfaces.surface import Surface
     from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["ACCESSORS", "ImageAccessor", "SurfaceAccessor", "attach"]
@@ -35,13 +35,13 @@ class SurfaceAccessor:
     @property
     def mesh(self) -> TriangleMesh:
         """The triangles, with their arrays; as :func:`geokit.mesh.as_mesh`."""
-        from geokit.mesh._objects import as_mesh
+        from geokit.mesh.surfaces.objects import as_mesh
 
         return as_mesh(self._dataset)
 
     def surface(self, *, device: Any = None) -> Surface:
         """The mesh prepared for queries; as :class:`geokit.mesh.Surface`."""
-        from geokit.mesh._surface import Surface
+        from geokit.mesh.surfaces.surface import Surface
 
         return Surface(self._dataset, device=device)
 

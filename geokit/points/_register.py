@@ -15,8 +15,8 @@ from geokit.core.memory.needs import needs, rows
 from geokit.core.require import require_choice, require_count, require_table
 from geokit.core.user_arrays import LARGEST_MEASURED, read_vectors, require_finite_scalar
 from geokit.errors import InputError
-from geokit.mesh._surface import BYTES_PER_FACE
 from geokit.mesh.model.triangle_mesh import TriangleMesh
+from geokit.mesh.surfaces.surface import BYTES_PER_FACE
 from geokit.points._register_targets import Pairs, Target, make_target
 from geokit.points.clouds.rigid_fit import Step, orthonormal, plane_rank, plane_step, point_step
 from geokit.volume.model.sparse_volume import SparseVolume

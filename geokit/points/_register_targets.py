@@ -17,7 +17,7 @@ from geokit.points.search.nearest import build_tree, nearest
 if TYPE_CHECKING:
     import warp as wp
 
-    from geokit.mesh._surface import Surface
+    from geokit.mesh.surfaces.surface import Surface
     from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["Pairs", "Target", "make_target"]
@@ -79,9 +79,9 @@ def make_target(target: Any, target_normals: Any, wants_normals: bool, device: A
     Raises:
         InputError: The argument is not a valid target, or the normals do not fit it.
     """
-    from geokit.mesh._objects import require_mesh
-    from geokit.mesh._surface import Surface
     from geokit.mesh.model.triangle_mesh import TriangleMesh
+    from geokit.mesh.surfaces.objects import require_mesh
+    from geokit.mesh.surfaces.surface import Surface
     from geokit.volume.model.sparse_volume import SparseVolume
 
     if isinstance(target, TriangleMesh) or has_faces(target, "target"):

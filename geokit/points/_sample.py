@@ -8,11 +8,11 @@ import numpy as np
 
 from geokit.core.interop.types import MeshLike
 from geokit.core.memory.needs import needs
-from geokit.mesh._objects import require_mesh
 from geokit.mesh._sample_surface import sample_surface, samples_bytes
 from geokit.mesh.attributes.interpolation import chosen_names, interpolated, interpolation_bytes
 from geokit.mesh.model.data import has_meaning
 from geokit.mesh.model.triangle_mesh import TriangleMesh
+from geokit.mesh.surfaces.objects import require_mesh
 from geokit.mesh.topology.normals import face_normals
 from geokit.points._io import PointCloud
 

@@ -38,8 +38,8 @@ def notebook_html(thing: Any) -> str:
 
 def _scene(thing: Any) -> dict[str, Any] | None:
     """What is drawn; None for nothing."""
-    from geokit.mesh._surface import Surface
     from geokit.mesh.model.triangle_mesh import TriangleMesh
+    from geokit.mesh.surfaces.surface import Surface
     from geokit.points._io import PointCloud
     from geokit.volume.model.sparse_volume import SparseVolume
 

@@ -178,7 +178,7 @@ def figure(
         FileAccessError: The target cannot be written.
         MissingDependencyError: No OpenGL library works here; the message names the packages.
     """
-    from geokit.mesh._objects import require_mesh
+    from geokit.mesh.surfaces.objects import require_mesh
     from geokit.volume.model.sparse_volume import SparseVolume
 
     target = checked_target(path)

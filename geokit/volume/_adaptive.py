@@ -40,7 +40,7 @@ from geokit.volume.tolerance.search import Search, Setting
 from geokit.volume.tolerance.zone import THIN, rounding_of
 
 if TYPE_CHECKING:
-    from geokit.mesh._surface import Surface
+    from geokit.mesh.surfaces.surface import Surface
 
 __all__ = ["LEVEL", "LEVEL_COUNT", "AdaptiveSDF", "adaptive_from_mesh", "load_adaptive"]
 

@@ -32,8 +32,8 @@ from geokit.volume.tolerance.band_memory import band_start
 from geokit.volume.tree.grid_head import checked_head
 
 if TYPE_CHECKING:
-    from geokit.mesh._surface import Surface
     from geokit.mesh.model.triangle_mesh import TriangleMesh
+    from geokit.mesh.surfaces.surface import Surface
 
 __all__ = ["MeshBand", "from_mesh", "from_mesh_with_triangles"]
 

@@ -20,7 +20,7 @@ from geokit.volume.tolerance.interpolation_errors import REACH
 from geokit.volume.tolerance.search import Search, Setting, quickest
 
 if TYPE_CHECKING:
-    from geokit.mesh._surface import Surface
+    from geokit.mesh.surfaces.surface import Surface
 
 __all__ = ["PlannedField", "plan"]
 

@@ -48,7 +48,7 @@ def _trials(setup: MeshSetup, queries: Queries) -> Iterator[Trial]:
     import warp as wp
 
     from geokit.accuracy.charts.raw_queries import raw_closest_point
-    from geokit.mesh._surface import Surface
+    from geokit.mesh.surfaces.surface import Surface
 
     surface, points = setup.surface, send(queries.points, setup.device)
     size = held_bytes(surface)

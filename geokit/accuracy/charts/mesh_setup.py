@@ -12,8 +12,8 @@ from geokit.accuracy.charts.volume_setup import area_samples
 from geokit.accuracy.reference import mesh as reference
 
 if TYPE_CHECKING:
-    from geokit.mesh._surface import Surface
     from geokit.mesh.model.triangle_mesh import TriangleMesh
+    from geokit.mesh.surfaces.surface import Surface
 
 __all__ = ["MeshSetup", "Queries"]
 
@@ -66,7 +66,7 @@ class MeshSetup:
     @cached_property
     def surface(self) -> Surface:
         """The mesh prepared for queries."""
-        from geokit.mesh._surface import Surface
+        from geokit.mesh.surfaces.surface import Surface
 
         return Surface(self.mesh, device=self.device)
 

@@ -9,7 +9,7 @@ from geokit.core import launcher
 if TYPE_CHECKING:
     import warp as wp
 
-    from geokit.mesh._surface import Surface
+    from geokit.mesh.surfaces.surface import Surface
     from geokit.points.neighbors.neighbor_grid import NeighborGrid
 
 __all__ = ["RawClosest", "RawHits", "raw_closest_point", "raw_radius_count", "raw_raycast"]

@@ -18,7 +18,7 @@ from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 if TYPE_CHECKING:
     from geokit.accuracy.charts.mesh_setup import MeshSetup
-    from geokit.mesh._surface import Surface
+    from geokit.mesh.surfaces.surface import Surface
 
 __all__ = ["DAMAGES", "damaged", "sign_charts"]
 
@@ -87,7 +87,7 @@ def damaged(mesh: TriangleMesh, damage: str, seed: int = 0) -> TriangleMesh:
 
 
 def _broken(setup: MeshSetup, damage: str, judge: Callable[[Any], Judgement]) -> Iterator[Trial]:
-    from geokit.mesh._surface import Surface
+    from geokit.mesh.surfaces.surface import Surface
 
     mesh = damaged(setup.mesh, damage)
     if len(mesh.faces):

@@ -14,8 +14,8 @@ from geokit.accuracy.reference import mesh as reference
 from geokit.accuracy.trials.running import without_warnings
 
 if TYPE_CHECKING:
-    from geokit.mesh._surface import Surface
     from geokit.mesh.model.triangle_mesh import TriangleMesh
+    from geokit.mesh.surfaces.surface import Surface
     from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = [
@@ -117,7 +117,7 @@ class NearSurface:
     @cached_property
     def surface(self) -> Surface:
         """The mesh on the device."""
-        from geokit.mesh._surface import Surface
+        from geokit.mesh.surfaces.surface import Surface
 
         return Surface(self.mesh, device=self.device)
 

@@ -12,7 +12,7 @@ from geokit.accuracy.trials.model import Judgement
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 if TYPE_CHECKING:
-    from geokit.mesh._surface import Surface
+    from geokit.mesh.surfaces.surface import Surface
 
 __all__ = [
     "OBLIQUE",
@@ -78,6 +78,6 @@ def on_gpu(device: Any) -> bool:
 
 def surface_of(mesh: TriangleMesh, device: Any) -> Surface:
     """The mesh prepared for queries."""
-    from geokit.mesh._surface import Surface
+    from geokit.mesh.surfaces.surface import Surface
 
     return Surface(mesh, device=device)

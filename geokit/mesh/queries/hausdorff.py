@@ -15,7 +15,7 @@ from geokit.mesh.model.triangle_mesh import TriangleMesh
 if TYPE_CHECKING:
     import warp as wp
 
-    from geokit.mesh._surface import Surface
+    from geokit.mesh.surfaces.surface import Surface
 
 __all__ = ["BLOCK", "MOST_WAITING", "DistanceSearch", "TrianglePieces", "joined_pieces"]
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from geokit.mesh.topology.audit import face_parts
 
 if TYPE_CHECKING:
-    from geokit.mesh._surface import Surface
+    from geokit.mesh.surfaces.surface import Surface
     from geokit.mesh.topology.orientation import FaceOrientation
 
 __all__ = ["SignChoice", "choose_sign", "largest_of_each"]

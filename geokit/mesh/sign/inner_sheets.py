@@ -18,7 +18,7 @@ from geokit.mesh.topology.connectivity import Topology, connected_components
 from geokit.mesh.topology.normals import face_normals
 
 if TYPE_CHECKING:
-    from geokit.mesh._surface import Surface
+    from geokit.mesh.surfaces.surface import Surface
 
 __all__ = ["CONTACT", "EXTREME_SIZE", "INNER_POINT", "collapsed", "inner_sheets", "is_inside", "sheets_inside"]
 

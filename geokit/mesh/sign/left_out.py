@@ -20,7 +20,7 @@ from geokit.mesh.sign.choice import largest_of_each
 if TYPE_CHECKING:
     import warp as wp
 
-    from geokit.mesh._surface import Surface
+    from geokit.mesh.surfaces.surface import Surface
 
 __all__ = ["by_other_surface", "left_out_faces"]
 

@@ -17,7 +17,7 @@ from geokit.mesh.sign.inner_sheets import EXTREME_SIZE, INNER_POINT
 from geokit.mesh.topology.bodies import closed_bodies
 
 if TYPE_CHECKING:
-    from geokit.mesh._surface import Surface
+    from geokit.mesh.surfaces.surface import Surface
 
 __all__ = ["choose_side"]
 

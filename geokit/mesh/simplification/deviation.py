@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.mesh._surface import Surface
 from geokit.mesh.queries.hausdorff import DistanceSearch, TrianglePieces
+from geokit.mesh.surfaces.surface import Surface
 
 __all__ = ["within"]
 

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.mesh._surface import Surface
 from geokit.mesh.model.triangle_mesh import TriangleMesh
+from geokit.mesh.surfaces.surface import Surface
 from geokit.mesh.topology.audit import audit_topology
 from geokit.mesh.topology.connectivity import MeshTopology, connected_components, mesh_topology
 

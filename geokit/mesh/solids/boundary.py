@@ -24,7 +24,7 @@ from geokit.mesh.topology.audit import face_parts
 from geokit.mesh.topology.bodies import Bodies
 
 if TYPE_CHECKING:
-    from geokit.mesh._surface import Surface
+    from geokit.mesh.surfaces.surface import Surface
 
 __all__ = ["Boundary", "boundary_of"]
 

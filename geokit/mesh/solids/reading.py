@@ -57,7 +57,7 @@ def read_solids(mesh: TriangleMesh, given: Any, size: float, make_surface: Any) 
 
 def _solids(mesh: TriangleMesh, bodies: Bodies) -> tuple[list[NDArray[np.int64]], NDArray[np.int64]]:
     """Rows of the faces of each outer body with its cavities, and rows of all other faces but those without corners."""
-    from geokit.mesh._surface import Surface
+    from geokit.mesh.surfaces.surface import Surface
 
     order = np.argsort(bodies.label, kind="stable")
     starts = np.searchsorted(bodies.label[order], np.arange(len(bodies.volume) + 1))

@@ -19,7 +19,7 @@ from geokit.mesh.topology.connectivity import position_corners
 from geokit.mesh.topology.normals import cross, unit
 
 if TYPE_CHECKING:
-    from geokit.mesh._surface import Surface
+    from geokit.mesh.surfaces.surface import Surface
 
 __all__ = ["trimmed"]
 

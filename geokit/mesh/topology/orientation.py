@@ -17,8 +17,8 @@ from geokit.mesh.topology.doubled_faces import DoubledFaces, doubled_faces, none
 from geokit.mesh.topology.measures import FaceMeasures, measure_faces
 
 if TYPE_CHECKING:
-    from geokit.mesh._surface import Surface
     from geokit.mesh.queries.rays import RayHitLists
+    from geokit.mesh.surfaces.surface import Surface
 
 __all__ = ["FLAT_SHARE", "FaceOrientation", "enclosing_pairs", "orient_faces"]
 

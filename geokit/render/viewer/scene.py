@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from geokit._packages import require_package
 from geokit.core.interop.objects import points_of, polygons_of
 from geokit.errors import InputError
-from geokit.mesh._objects import require_mesh
-from geokit.mesh._surface import Surface
 from geokit.mesh.model.triangle_mesh import TriangleMesh
+from geokit.mesh.surfaces.objects import require_mesh
+from geokit.mesh.surfaces.surface import Surface
 from geokit.points._io import PointCloud
 from geokit.render._checks import DIVERGING, SEQUENTIAL
 from geokit.render.viewer.surfaces import cloud_record, mesh_record, require_content

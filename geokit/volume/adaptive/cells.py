@@ -15,8 +15,8 @@ from geokit.volume.tolerance.interpolation_errors import STENCILS
 if TYPE_CHECKING:
     import warp as wp
 
-    from geokit.mesh._surface import Surface
     from geokit.mesh.model.triangle_mesh import TriangleMesh
+    from geokit.mesh.surfaces.surface import Surface
 
 __all__ = ["CORNERS", "CellLattice", "cells_of", "contains", "examine", "keys_of", "near_cells", "spread_keys"]
 

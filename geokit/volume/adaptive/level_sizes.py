@@ -23,8 +23,8 @@ from geokit.volume.band.tiles import Lattice, near_tiles
 from geokit.volume.tolerance.interpolation_errors import REACH
 
 if TYPE_CHECKING:
-    from geokit.mesh._surface import Surface
     from geokit.mesh.model.triangle_mesh import TriangleMesh
+    from geokit.mesh.surfaces.surface import Surface
 
 __all__ = ["ORDERS", "Choice", "band_lattice", "choose"]
 

@@ -22,8 +22,8 @@ from geokit.volume.nanovdb.provenance import INTERIOR, content_hash, provenance,
 from geokit.volume.tree.grid_head import checked_head
 
 if TYPE_CHECKING:
-    from geokit.mesh._surface import Surface
     from geokit.mesh.model.triangle_mesh import TriangleMesh
+    from geokit.mesh.surfaces.surface import Surface
     from geokit.volume.band.band import Band
     from geokit.volume.tree.device_writer import BuiltGrid
 
@@ -65,7 +65,7 @@ def resolve_surface(
         InputError: ``thickness`` is negative, not finite, or beyond ``THICKEST``; there is no such sign method, or no
             such ``interior``.
     """
-    from geokit.mesh._surface import Surface
+    from geokit.mesh.surfaces.surface import Surface
 
     require_choice(sign, "sign", SIGNS)
     require_choice(interior, "interior", INTERIORS)
@@ -105,8 +105,8 @@ def resolve_surface(
 
 def _without_interior(surface: Surface) -> tuple[Surface | None, str]:
     """The surface of what a mesh encloses, None if that is all of it, and why some is still inside of solids."""
-    from geokit.mesh._surface import Surface
     from geokit.mesh.solids.boundary import boundary_of
+    from geokit.mesh.surfaces.surface import Surface
 
     try:
         boundary = boundary_of(surface)

@@ -19,7 +19,7 @@ from geokit.volume.band.lattice_origin import index_translation
 if TYPE_CHECKING:
     import warp as wp
 
-    from geokit.mesh._surface import Surface
+    from geokit.mesh.surfaces.surface import Surface
 
 __all__ = [
     "LEAF_BYTES",

@@ -8,9 +8,9 @@ import numpy as np
 
 from geokit.core import launcher
 from geokit.core.memory.pinned import host_flags
-from geokit.mesh._surface import Surface
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.queries.points import ClosestPoints
+from geokit.mesh.surfaces.surface import Surface
 
 if TYPE_CHECKING:
     import warp as wp

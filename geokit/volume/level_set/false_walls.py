@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
-from geokit.mesh._surface import Surface
 from geokit.mesh.model.triangle_mesh import TriangleMesh
+from geokit.mesh.surfaces.surface import Surface
 from geokit.points.neighbors.neighbor_grid import NeighborGrid
 from geokit.volume._sample import sample
 from geokit.volume.isosurface.surface_nets import surface_nets

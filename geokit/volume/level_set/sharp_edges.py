@@ -45,8 +45,8 @@ def hold_beyond_edges(
     """
     import warp as wp
 
-    from geokit.mesh._surface import Surface
     from geokit.mesh.model.device_mesh import mesh_on_device
+    from geokit.mesh.surfaces.surface import Surface
     from geokit.volume.isosurface.surface_nets import surface_nets
     from geokit.volume.level_set import sharp_edges_kernels as kernels
 

@@ -18,8 +18,8 @@ from geokit.core import launcher
 from geokit.errors import DeviceMemoryError
 from geokit.formats.blocks.records import BYTES_AT_A_TIME
 from geokit.formats.blocks.workers import Done
-from geokit.mesh._surface import BYTES_PER_FACE, Surface
 from geokit.mesh.model.triangle_mesh import TriangleMesh
+from geokit.mesh.surfaces.surface import BYTES_PER_FACE, Surface
 from geokit.volume.band.band import BandShape, build_band, make_band
 from geokit.volume.band.tiles import Lattice, near_tiles
 from geokit.volume.nanovdb.nodes import grid_nodes

@@ -15,7 +15,7 @@ from geokit.volume.nanovdb.header import HEAD_SIZE
 from geokit.volume.nanovdb.layout import LAYOUTS, LEAF_VOXELS, QUANTIZED_HEADER
 
 if TYPE_CHECKING:
-    from geokit.mesh._surface import Surface
+    from geokit.mesh.surfaces.surface import Surface
 
 __all__ = ["BandCounts", "BandMemory", "band_start", "lattice_within"]
 

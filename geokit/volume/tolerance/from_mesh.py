@@ -30,7 +30,7 @@ from geokit.volume.tolerance.zone import Zone, checked_within, require_extent
 from geokit.volume.tree.leaf_codecs import LeafReader
 
 if TYPE_CHECKING:
-    from geokit.mesh._surface import Surface
+    from geokit.mesh.surfaces.surface import Surface
     from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["make_setting", "tolerance_search", "within_tolerance"]

@@ -17,7 +17,7 @@ from geokit.accuracy.stability import shapes
 from geokit.accuracy.stability.follow_sweeps import inside, promised
 from geokit.accuracy.stability.mesh import mesh_sweeps
 from geokit.accuracy.stability.mesh_questions import around_and_near, judged, powers, turned
-from geokit.mesh._surface import Surface
+from geokit.mesh.surfaces.surface import Surface
 
 SWEEPS = mesh_sweeps("cpu")
 # Factor by which values of other seeds may exceed those of the tested ones.

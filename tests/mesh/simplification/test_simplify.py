@@ -13,11 +13,11 @@ import geokit as gk
 from benchmarks.catalog import mesh_catalog
 from geokit.mesh._audit import audit
 from geokit.mesh._simplify import Simplified, simplify
-from geokit.mesh._surface import Surface
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.simplification.collapse import collapsed
 from geokit.mesh.simplification.deviation import within
 from geokit.mesh.simplification.invariants import has_similar_normals, shape_of
+from geokit.mesh.surfaces.surface import Surface
 from tests.support.reference import closest_point
 
 

@@ -11,8 +11,8 @@ from benchmarks.catalog import mesh_catalog
 from benchmarks.catalog.float_grids import build_float_grid
 from geokit.core import launcher
 from geokit.errors import DeviceMemoryError, FileFormatError, InputError
-from geokit.mesh._surface import Surface
 from geokit.mesh.model.triangle_mesh import TriangleMesh
+from geokit.mesh.surfaces.surface import Surface
 from geokit.volume import from_dense, from_mesh, load, quantize, save
 from geokit.volume._adaptive import LEVEL, LEVEL_COUNT, AdaptiveSDF, adaptive_from_mesh, load_adaptive
 from geokit.volume._plan import _adaptive

@@ -12,8 +12,9 @@ import warp as wp
 import geokit as gk
 from benchmarks.catalog import mesh_catalog
 from geokit import InputError
-from geokit.mesh import Surface, TriangleMesh, _surface
+from geokit.mesh import Surface, TriangleMesh
 from geokit.mesh.bvh.leaf_planes_kernels import SLOT_WORDS
+from geokit.mesh.surfaces import surface as surface_module
 from tests.support import reference
 
 
@@ -222,11 +223,11 @@ def test_repr_says_what_it_is(box):
 @pytest.mark.parametrize("face_count", [98_000_000, 107_374_182])
 def test_a_gpu_numbers_so_many_faces(face_count: int) -> None:
     gpu = SimpleNamespace(is_cuda=True, alias="cuda:0")
-    _surface._require_numbered(face_count, gpu)
+    surface_module._require_numbered(face_count, gpu)
     assert face_count * SLOT_WORDS < 2**31
     with pytest.raises(InputError, match=r"mesh: 107374183 faces are more than the 107374182 .* on cuda:0; split the"):
-        _surface._require_numbered(107_374_183, gpu)
-    _surface._require_numbered(107_374_183, SimpleNamespace(is_cuda=False, alias="cpu"))
+        surface_module._require_numbered(107_374_183, gpu)
+    surface_module._require_numbered(107_374_183, SimpleNamespace(is_cuda=False, alias="cpu"))
 
 
 def test_help_shows_the_arguments() -> None:

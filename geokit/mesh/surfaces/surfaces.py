@@ -23,12 +23,12 @@ from geokit.core.poses.move import BYTES_PER_MOVE, move_packed, require_rigid_ma
 from geokit.core.poses.placed import without_gradients
 from geokit.core.require import described, read_array, require_choice, require_count, require_items
 from geokit.errors import InputError
-from geokit.mesh._objects import require_mesh
-from geokit.mesh._surface import Surface
 from geokit.mesh.model.triangle_mesh import TriangleMesh, trusted_mesh
 from geokit.mesh.queries.points import QUERY_GROUP, ClosestPoints, checked_radius, refuse_raised
 from geokit.mesh.queries.rays import RayHits, checked_limits, group_size, refuse_rays
 from geokit.mesh.sign.queries import SIGN_METHODS, SignedDistances
+from geokit.mesh.surfaces.objects import require_mesh
+from geokit.mesh.surfaces.surface import Surface
 from geokit.mesh.topology.size_limits import LARGEST_SCALE, LEAST_SCALE, require_measurable
 
 if TYPE_CHECKING:

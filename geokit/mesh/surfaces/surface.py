@@ -19,13 +19,13 @@ from geokit.core.memory.needs import needs
 from geokit.core.memory.unchecked import allocating
 from geokit.core.require import read_array
 from geokit.errors import DeviceMemoryError, InputError
-from geokit.mesh._objects import require_mesh
 from geokit.mesh.attributes.derived import derived
 from geokit.mesh.model.device_mesh import arrays_on
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.queries.distance import DistanceQueries
 from geokit.mesh.queries.rays import RayQueries
 from geokit.mesh.sign.queries import SignQueries
+from geokit.mesh.surfaces.objects import require_mesh
 
 if TYPE_CHECKING:
     import warp as wp
