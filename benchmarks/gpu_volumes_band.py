@@ -15,8 +15,8 @@ import geokit as gk
 from benchmarks import inputs
 from benchmarks.gpu_timing import wall_median
 from geokit.core import launcher
-from geokit.volume._from_mesh import from_mesh_with_triangles
 from geokit.volume.band.tiles import Lattice, near_tiles
+from geokit.volume.distance_fields.from_mesh import from_mesh_with_triangles
 
 TRIANGLES = 195_200
 RESOLUTIONS = (256, 512, 1024, 2048)

@@ -48,5 +48,5 @@ from ._sample_surface import sample_surface as sample_surface, SurfaceSamples as
 from ._transfer import transfer_attributes as transfer_attributes
 
 # From volumes, and their values at vertices.
-from ._from_volume import from_volume as from_volume, from_volume_with_deviation as from_volume_with_deviation
-from ._attributes import sample_attributes as sample_attributes
+from .volumes.from_volume import from_volume as from_volume, from_volume_with_deviation as from_volume_with_deviation
+from .volumes.attributes import sample_attributes as sample_attributes

@@ -47,7 +47,7 @@ def read(
         DeviceMemoryError: The voxels take more than most_bytes.
     """
     from geokit.mesh._convert import to_meshio
-    from geokit.mesh._from_volume import from_volume
+    from geokit.mesh.volumes.from_volume import from_volume
     from geokit.volume._io import load
 
     require_choice(kind, "kind", ("auto", "voxels", "surface"))

@@ -48,7 +48,7 @@ def read_volumes(path: Paths) -> list[Layer]:
         DeviceMemoryError: The box around the active voxels of a grid is larger than 4 GiB.
         UnsupportedGridError: A grid stores no values.
     """
-    from geokit.mesh._from_volume import from_volume
+    from geokit.mesh.volumes.from_volume import from_volume
     from geokit.volume._io import load_all
 
     layers = []

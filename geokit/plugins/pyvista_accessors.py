@@ -55,7 +55,7 @@ class SurfaceAccessor:
 
     def to_volume(self, voxel_size: Any = None, **options: Any) -> SparseVolume:
         """A level set of the surface; as :func:`geokit.volume.from_mesh`."""
-        from geokit.volume._from_mesh import from_mesh
+        from geokit.volume.distance_fields.from_mesh import from_mesh
 
         return from_mesh(self._dataset, voxel_size, **options)
 
@@ -89,8 +89,8 @@ class ImageAccessor:
         """
         from geokit.core.interop.objects import image_of
         from geokit.mesh._convert import to_pyvista
-        from geokit.mesh._from_volume import from_volume
         from geokit.mesh.model.triangle_mesh import TriangleMesh
+        from geokit.mesh.volumes.from_volume import from_volume
 
         volume = self.to_volume(grid_type="float")
         mesh = from_volume(volume, isovalue=value, **{"method": "marching_cubes", **options})

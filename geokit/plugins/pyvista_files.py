@@ -31,7 +31,7 @@ def read(
         DeviceMemoryError: The image is larger than most_bytes.
     """
     from geokit.mesh._convert import to_pyvista as mesh_to_pyvista
-    from geokit.mesh._from_volume import from_volume
+    from geokit.mesh.volumes.from_volume import from_volume
     from geokit.volume._convert import to_pyvista
     from geokit.volume._io import load
 
@@ -58,8 +58,8 @@ def write(dataset: Any, path: str | os.PathLike[str], **options: Any) -> None:
     """
     from geokit.core.interop.objects import has_faces, image_of
     from geokit.volume._dense import from_dense
-    from geokit.volume._from_mesh import from_mesh
     from geokit.volume._io import save
+    from geokit.volume.distance_fields.from_mesh import from_mesh
 
     try:
         if image_of(dataset, "dataset") is not None:

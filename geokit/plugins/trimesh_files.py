@@ -45,7 +45,7 @@ def load_mesh(
         InputError: As for :func:`geokit.volume.load`, or isovalue is missing.
         FileAccessError, FileFormatError: The file is missing or damaged.
     """
-    from geokit.mesh._from_volume import from_volume
+    from geokit.mesh.volumes.from_volume import from_volume
 
     volume, path = _read(file_obj, file_type, grid)
     if isovalue is None and not is_level_set(volume):

@@ -384,7 +384,7 @@ def _write_smoke(
 
 
 def _isosurface(pv: Any, volume: "SparseVolume", isovalue: float) -> Any:
-    from geokit.mesh._from_volume import from_volume
+    from geokit.mesh.volumes.from_volume import from_volume
 
     try:
         mesh = from_volume(volume, isovalue=isovalue)

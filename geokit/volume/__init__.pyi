@@ -4,13 +4,13 @@ from .nanovdb.grid_info import GridInfo as GridInfo
 from ._io import load as load, load_all as load_all, save as save, inspect as inspect
 
 # Volumes from meshes, points, functions and arrays.
-from ._from_mesh import (
+from .distance_fields.from_mesh import (
     from_mesh as from_mesh,
     from_mesh_with_triangles as from_mesh_with_triangles,
     MeshBand as MeshBand,
 )
 from .streamed.from_mesh_file import from_mesh_file as from_mesh_file
-from ._plan import plan as plan, PlannedField as PlannedField
+from .distance_fields.plan import plan as plan, PlannedField as PlannedField
 from ._from_points import from_points as from_points
 from ._from_function import from_function as from_function
 from ._dense import from_dense as from_dense, to_dense as to_dense, DenseGrid as DenseGrid
@@ -57,7 +57,7 @@ from ._components import (
 )
 
 # Distance fields of several voxel sizes: small voxels only where edges need them.
-from ._adaptive import (
+from .distance_fields.adaptive import (
     adaptive_from_mesh as adaptive_from_mesh,
     load_adaptive as load_adaptive,
     AdaptiveSDF as AdaptiveSDF,

@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 from benchmarks.catalog import mesh_catalog
 from geokit.errors import InputError
 from geokit.mesh._audit import audit
-from geokit.mesh._from_volume import from_volume, from_volume_with_deviation
 from geokit.mesh._sample_surface import sample_surface
 from geokit.mesh._simplify import simplify
 from geokit.mesh.model.triangle_mesh import TriangleMesh
+from geokit.mesh.volumes.from_volume import from_volume, from_volume_with_deviation
 from geokit.points._downsample import cover, downsample
-from geokit.volume._from_mesh import from_mesh
 from geokit.volume._quantize import quantize
+from geokit.volume.distance_fields.from_mesh import from_mesh
 from tests.support.effort import of_all
 from tests.support.reference import closest_point
 

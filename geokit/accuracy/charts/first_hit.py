@@ -102,7 +102,7 @@ def _of_mesh(setup: MeshSetup, rays: Rays, judge: Callable[[Any], Judgement]) ->
 
 
 def _of_volumes(setup: MeshSetup, rays: Rays, judge: Callable[[Any], Judgement]) -> Iterator[Trial]:
-    from geokit.volume._from_mesh import from_mesh
+    from geokit.volume.distance_fields.from_mesh import from_mesh
 
     origins, directions = send(rays.origins, setup.device), send(rays.directions, setup.device)
     for parts in QUICK_DIVISIONS if setup.quick else DIVISIONS:

@@ -101,7 +101,7 @@ def _trial(volume: SparseVolume, isovalue: float, parameters: dict[str, Any], ju
     name = f"mesh.from_volume, {method}"
 
     def make() -> TriangleMesh:
-        from geokit.mesh._from_volume import from_volume
+        from geokit.mesh.volumes.from_volume import from_volume
 
         mesh = from_volume(volume, isovalue=isovalue, adaptivity=adaptivity, method=method, device=device)
         mesh.faces  # noqa: B018 - in NumPy, as OpenVDB's are

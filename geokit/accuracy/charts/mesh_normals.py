@@ -35,7 +35,7 @@ def normals_chart(setup: MeshSetup) -> Chart:
 
 
 def _trials(setup: MeshSetup) -> Iterator[Trial]:
-    from geokit.volume._from_mesh import from_mesh
+    from geokit.volume.distance_fields.from_mesh import from_mesh
 
     mesh = setup.oriented
     samples, face = area_samples(mesh, setup.count, np.random.default_rng(SEED + 6))

@@ -155,7 +155,7 @@ class NearSurface:
 
     def level_set(self, voxel_size: float, *, half_width: float = HALF_WIDTH, method: str = "geokit") -> SparseVolume:
         """geokit's level set of the mesh; warnings about thin components are dropped, as the charts show them."""
-        from geokit.volume._from_mesh import from_mesh
+        from geokit.volume.distance_fields.from_mesh import from_mesh
 
         options: dict[str, Any] = {"half_width": half_width, "method": method, "device": self.device}
         return without_warnings(lambda: from_mesh(self.surface, voxel_size, **options))

@@ -170,7 +170,7 @@ def wall_distances(thickness: float, *, seed: int = 0, device: Any = None) -> Ju
 
 def wall_surfaces(thickness: float, *, seed: int = 0, device: Any = None) -> Judgement:
     """Distances of points on both faces of a wall from the reconstructed surface."""
-    from geokit.mesh._from_volume import from_volume
+    from geokit.mesh.volumes.from_volume import from_volume
 
     errors, wrong, positions = [], [], []
     for number in range(WALLS):
@@ -187,7 +187,7 @@ def wall_surfaces(thickness: float, *, seed: int = 0, device: Any = None) -> Jud
 
 def offset_surfaces(isovalue: float, *, seed: int = 0, device: Any = None) -> Judgement:
     """Distances of the isosurfaces inside and outside of a sphere from the exact spheres."""
-    from geokit.mesh._from_volume import from_volume
+    from geokit.mesh.volumes.from_volume import from_volume
 
     band = level_set(ball(BAND_RADIUS), BAND_RADIUS)
     judgements = []
@@ -199,7 +199,7 @@ def offset_surfaces(isovalue: float, *, seed: int = 0, device: Any = None) -> Ju
 
 def ball_surfaces(radius: float, *, method: str, seed: int = 0, device: Any = None) -> Judgement:
     """Distances between balls and their reconstructed surfaces, in both directions."""
-    from geokit.mesh._from_volume import from_volume
+    from geokit.mesh.volumes.from_volume import from_volume
 
     # Balls centered on a cell are the first to contain no voxel.
     centers = [np.full(3, 0.5), *np.random.default_rng(seed).random((3, 3))]
@@ -243,7 +243,7 @@ def _wall(thickness: float, seed: int, number: int) -> tuple[TriangleMesh, Float
 
 
 def _level_set_of(mesh: TriangleMesh, device: Any, voxel_size: float = 1.0) -> SparseVolume:
-    from geokit.volume._from_mesh import from_mesh
+    from geokit.volume.distance_fields.from_mesh import from_mesh
 
     with warnings.catch_warnings():
         # Warnings about lost components are expected: the sweep measures their loss.

@@ -121,7 +121,7 @@ class TestNotices:
             samples.kept_tolerances(1e-6, device="cpu")
 
     def test_surfaces(self, monkeypatch):
-        module = import_module("geokit.mesh._from_volume")
+        module = import_module("geokit.mesh.volumes.from_volume")
         exact = module.from_volume
 
         def shifted(*given, **named):
@@ -134,7 +134,7 @@ class TestNotices:
         assert worst(meshes.ball_surfaces(4.0, method="marching_cubes", device="cpu")) > 0.4
 
     def test_surfaces_with_a_hole(self, monkeypatch):
-        module = import_module("geokit.mesh._from_volume")
+        module = import_module("geokit.mesh.volumes.from_volume")
         exact = module.from_volume
 
         def half(*given, **named):
@@ -146,7 +146,7 @@ class TestNotices:
         assert worst(meshes.ball_surfaces(8.0, method="marching_cubes", device="cpu")) > 1.0
 
     def test_surfaces_that_are_lost(self, monkeypatch):
-        module = import_module("geokit.mesh._from_volume")
+        module = import_module("geokit.mesh.volumes.from_volume")
         nothing = TriangleMesh(np.zeros((0, 3)), np.zeros((0, 3), int))
         monkeypatch.setattr(module, "from_volume", lambda *given, **named: nothing)
         assert meshes.wall_surfaces(4.0, device="cpu").wrong.all()

@@ -14,12 +14,12 @@ from geokit.errors import DeviceMemoryError, FileFormatError, InputError
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.surfaces.surface import Surface
 from geokit.volume import from_dense, from_mesh, load, quantize, save
-from geokit.volume._adaptive import LEVEL, LEVEL_COUNT, AdaptiveSDF, adaptive_from_mesh, load_adaptive
-from geokit.volume._plan import _adaptive
 from geokit.volume.adaptive import refine
 from geokit.volume.adaptive import sample_kernels as kernels
 from geokit.volume.adaptive.level_sizes import common_step
 from geokit.volume.adaptive.table import adaptive_table
+from geokit.volume.distance_fields.adaptive import LEVEL, LEVEL_COUNT, AdaptiveSDF, adaptive_from_mesh, load_adaptive
+from geokit.volume.distance_fields.plan import _adaptive
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import info_of
 from geokit.volume.nanovdb.provenance import ORDER, with_more

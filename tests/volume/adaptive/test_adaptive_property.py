@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from benchmarks.catalog import mesh_catalog
 from geokit.mesh.model.triangle_mesh import TriangleMesh
-from geokit.volume._adaptive import adaptive_from_mesh
+from geokit.volume.distance_fields.adaptive import adaptive_from_mesh
 from tests.support import reference
 from tests.support.effort import of_all, spread
 

@@ -7,8 +7,8 @@ import pytest
 
 from benchmarks.catalog import mesh_catalog
 from geokit.mesh import TriangleMesh, sample_surface
-from geokit.volume._adaptive import AdaptiveSDF, _checked, adaptive_from_mesh
 from geokit.volume.adaptive.choice import levels_of
+from geokit.volume.distance_fields.adaptive import AdaptiveSDF, _checked, adaptive_from_mesh
 from geokit.volume.tolerance.from_mesh import tolerance_search
 from tests.support import reference
 from tests.support.effort import of_all

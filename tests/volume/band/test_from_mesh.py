@@ -12,9 +12,9 @@ from benchmarks.catalog import mesh_catalog
 from geokit import DeviceMemoryError, InputError, native, volume
 from geokit.core import launcher
 from geokit.mesh import Surface, TriangleMesh
-from geokit.volume._from_mesh import from_mesh_with_triangles
 from geokit.volume.band.band import BandShape, make_band
 from geokit.volume.band.tiles import Lattice
+from geokit.volume.distance_fields.from_mesh import from_mesh_with_triangles
 from geokit.volume.model.sparse_volume import made_on_device
 from geokit.volume.nanovdb.header import tree_header
 from tests.support import reference

@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.catalog.sphere_volumes import sphere
 from geokit.core import launcher
-from geokit.mesh._from_volume import from_volume
+from geokit.mesh.volumes.from_volume import from_volume
 from geokit.volume.isosurface import launch, nodes
 from geokit.volume.isosurface.cells import crossed_cells
 

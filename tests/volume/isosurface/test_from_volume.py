@@ -13,8 +13,8 @@ from benchmarks.catalog.typed_grids import TypedGrid
 from geokit import native
 from geokit.errors import DeviceMemoryError, InputError, MissingDependencyError, UnsupportedGridError
 from geokit.mesh._audit import audit
-from geokit.mesh._from_volume import _split_quads, from_volume, from_volume_with_deviation
 from geokit.mesh._hausdorff import hausdorff
+from geokit.mesh.volumes.from_volume import _split_quads, from_volume, from_volume_with_deviation
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import TREE_OFFSET, aligned_buffer, info_of, tree_header
 from geokit.volume.nanovdb.layout import layout_of

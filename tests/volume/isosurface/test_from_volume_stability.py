@@ -8,10 +8,10 @@ import pytest
 from benchmarks.catalog import mesh_catalog
 from benchmarks.catalog.float_grids import build_float_grid
 from geokit.mesh._audit import audit
-from geokit.mesh._from_volume import from_volume
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.surfaces.surface import Surface
-from geokit.volume._from_mesh import from_mesh
+from geokit.mesh.volumes.from_volume import from_volume
+from geokit.volume.distance_fields.from_mesh import from_mesh
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import info_of
 

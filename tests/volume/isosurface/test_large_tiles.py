@@ -9,7 +9,7 @@ import pytest
 
 import geokit as gk
 from geokit.errors import DeviceMemoryError
-from geokit.mesh._from_volume import from_volume
+from geokit.mesh.volumes.from_volume import from_volume
 from geokit.volume.isosurface.nodes import topology_of
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.layout import LAYOUTS

@@ -10,8 +10,8 @@ from benchmarks.catalog.mesh_catalog import torus
 from geokit import native
 from geokit.errors import InputError, UnsupportedGridError
 from geokit.mesh._audit import audit
-from geokit.volume._from_mesh import from_mesh
 from geokit.volume._morphology import closing, dilate, erode, offset, opening, renormalize
+from geokit.volume.distance_fields.from_mesh import from_mesh
 from geokit.volume.level_set.operands import with_band
 from tests.support.analytic_volumes import SHEARED, TURNED, active_voxels, ball, box, dense, field, level_set
 from tests.support.effort import of_all

@@ -116,7 +116,7 @@ def test_neither_scale_nor_place_matters(directions, voxel_size, shift):
 def test_a_level_set_from_a_mesh(directions):
     # The facets of an icosphere of 20480 triangles are off by up to 1 degree themselves.
     from benchmarks.catalog import mesh_catalog
-    from geokit.volume._from_mesh import from_mesh
+    from geokit.volume.distance_fields.from_mesh import from_mesh
 
     mesh = mesh_catalog.icosphere(5)
     radius = float(np.linalg.norm(mesh.vertices[0]))

@@ -8,10 +8,10 @@ import pytest
 from benchmarks.catalog.sphere_volumes import ROTATED, sphere
 from benchmarks.catalog.typed_grids import TypedGrid
 from geokit.errors import InputError, UnsupportedGridError
-from geokit.mesh._attributes import sample_attributes
-from geokit.mesh._from_volume import from_volume
 from geokit.mesh._io import load, save
 from geokit.mesh.model.triangle_mesh import TriangleMesh
+from geokit.mesh.volumes.attributes import sample_attributes
+from geokit.mesh.volumes.from_volume import from_volume
 from geokit.volume._sample import sample
 
 

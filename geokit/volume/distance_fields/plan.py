@@ -10,10 +10,10 @@ from geokit.core.gradients.differentiable import of_constants
 from geokit.core.interop.types import Device, MeshLike
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_callable
-from geokit.volume._adaptive import MOST_LEVELS
 from geokit.volume.adaptive.choice import WORTH_LEVELS, fewer_bytes
 from geokit.volume.adaptive.refine import Refinement
 from geokit.volume.adaptive.storage import ACCEPTED_SHARE
+from geokit.volume.distance_fields.adaptive import MOST_LEVELS
 from geokit.volume.tolerance.checked_fields import made_within
 from geokit.volume.tolerance.from_mesh import make_setting, tolerance_search
 from geokit.volume.tolerance.interpolation_errors import REACH

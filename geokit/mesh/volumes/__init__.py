@@ -1,0 +1,1 @@
+"""Meshes from volumes, and values of volumes at vertices."""
