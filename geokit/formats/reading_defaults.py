@@ -26,7 +26,7 @@ def set_reading_defaults(cad_tolerance: float | None = None, time_step: int | No
     """
     global _tolerance, _step
     if cad_tolerance is not None:
-        from geokit.core.user_arrays import require_finite_scalar
+        from geokit.core.interop.user_arrays import require_finite_scalar
 
         cad_tolerance = require_finite_scalar(cad_tolerance, "cad_tolerance", low=0.0)
     _tolerance, _step = cad_tolerance, time_step

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from geokit.core.base.snapshot import snapshot
 from geokit.core.gradients.differentiable import of_constants
 from geokit.core.interop.types import Device, MeshLike
+from geokit.core.interop.user_arrays import require_finite_scalar
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_count, require_one_world
-from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
 from geokit.mesh._sample_surface import BYTES_PER_SAMPLE, sample_surface, scaled_areas
 from geokit.mesh.model.triangle_mesh import TriangleMesh

@@ -18,9 +18,9 @@ from geokit._warn import warn
 from geokit.core.content_limit import content_limit, require_content
 from geokit.core.files import atomic_path, extension, named_damage, refuse_empty, require_file
 from geokit.core.interop.types import MeshLike
+from geokit.core.interop.user_arrays import require_finite_scalar
 from geokit.core.memory.needs import file_size, needs
 from geokit.core.require import require_count, require_flag, require_path, require_text
-from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
 from geokit.formats.attributes.held import what_is_held
 from geokit.formats.foreign import require_format

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geokit.core.interop.user_arrays import require_finite_scalar
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_count, require_table
-from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from geokit.core.equal_rows import merge_equal_points, repeated_triples
 from geokit.core.interop.types import MeshLike
+from geokit.core.interop.user_arrays import require_finite_scalar
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_flag
-from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
 from geokit.mesh.attributes.derived import derived, moved_to_corners
 from geokit.mesh.model.triangle_mesh import TriangleMesh

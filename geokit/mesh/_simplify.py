@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from geokit.core import launcher
 from geokit.core.blocks.chunked_queries import Progress
 from geokit.core.interop.types import Device, MeshLike
+from geokit.core.interop.user_arrays import require_finite_scalar
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_callable, require_count
-from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
 from geokit.mesh.attributes.derived import with_data
 from geokit.mesh.model.triangle_mesh import TriangleMesh

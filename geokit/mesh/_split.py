@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core.interop.types import MeshLike
+from geokit.core.interop.user_arrays import require_finite_scalar
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_choice, require_count
-from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
 from geokit.mesh.attributes.derived import derived
 from geokit.mesh.model.triangle_mesh import TriangleMesh

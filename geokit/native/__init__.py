@@ -24,10 +24,10 @@ from numpy.typing import ArrayLike, NDArray
 from geokit.core.base.private_folder import private_folder
 from geokit.core.content_limit import content_limit
 from geokit.core.files import atomic_path, refuse_empty, require_file
+from geokit.core.interop.user_arrays import require_finite_scalar
 from geokit.core.memory import available_memory
 from geokit.core.memory.needs import file_size, needs
 from geokit.core.require import read_array, require_choice, require_count, require_flag, require_items
-from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import (
     DeviceMemoryError,
     FileAccessError,

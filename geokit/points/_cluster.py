@@ -6,9 +6,9 @@ from typing import Any
 
 from geokit.core import launcher
 from geokit.core.interop.types import Device, Rows
+from geokit.core.interop.user_arrays import read_vectors, require_finite_scalar
 from geokit.core.memory.needs import needs, rows
 from geokit.core.require import require_count
-from geokit.core.user_arrays import read_vectors, require_finite_scalar
 from geokit.points.neighbors.neighbor_grid import NeighborGrid
 
 __all__ = ["cluster"]

@@ -13,9 +13,9 @@ from geokit.core import launcher
 from geokit.core.gradients.differentiable import differentiable, library_of
 from geokit.core.gradients.rules import is_on_tape, is_tracked
 from geokit.core.interop.types import Device, Rows
+from geokit.core.interop.user_arrays import read_vectors
 from geokit.core.memory.needs import needs, rows
 from geokit.core.require import described
-from geokit.core.user_arrays import read_vectors
 from geokit.errors import InputError
 from geokit.points.search.groups import read_offsets
 from geokit.points.search.nearest import build_tree, nearest

@@ -10,9 +10,9 @@ import numpy as np
 from geokit.core import launcher
 from geokit.core.gradients.differentiable import differentiable
 from geokit.core.interop.types import Device, Rows
+from geokit.core.interop.user_arrays import read_numbers, require_finite_scalar
 from geokit.core.memory.needs import needs, rows
 from geokit.core.require import require_choice
-from geokit.core.user_arrays import read_numbers, require_finite_scalar
 from geokit.errors import InputError
 from geokit.points.neighbors.neighbor_grid import NeighborGrid
 

@@ -8,9 +8,9 @@ import numpy as np
 
 from geokit.core import launcher
 from geokit.core.interop.types import Device, Rows
+from geokit.core.interop.user_arrays import read_vectors, require_finite_scalar
 from geokit.core.memory.needs import needs, rows
 from geokit.core.require import require_count
-from geokit.core.user_arrays import read_vectors, require_finite_scalar
 from geokit.errors import InputError
 
 __all__ = ["Cover", "Downsampled", "cover", "downsample"]

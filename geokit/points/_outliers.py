@@ -8,9 +8,9 @@ import numpy as np
 
 from geokit.core import launcher
 from geokit.core.interop.types import Device, Rows
+from geokit.core.interop.user_arrays import LARGEST_MEASURED, read_vectors, require_finite_scalar
 from geokit.core.memory.needs import needs, rows
 from geokit.core.require import require_choice, require_count
-from geokit.core.user_arrays import LARGEST_MEASURED, read_vectors, require_finite_scalar
 from geokit.errors import InputError
 from geokit.points.neighbors.neighbor_grid import NeighborGrid
 from geokit.points.search.nearest import MAX_K, nearest

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from geokit.core import launcher
 from geokit.core.gradients.differentiable import of_constants
 from geokit.core.interop.types import Device
+from geokit.core.interop.user_arrays import LARGEST_MEASURED, read_vectors, require_finite_scalar
 from geokit.core.memory.needs import needs, rows
 from geokit.core.require import require_choice, require_count, require_table
-from geokit.core.user_arrays import LARGEST_MEASURED, read_vectors, require_finite_scalar
 from geokit.errors import InputError
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.surfaces.surface import BYTES_PER_FACE

@@ -10,7 +10,7 @@ import numpy as np
 from geokit.core import launcher
 from geokit.core.base.snapshot import snapshot
 from geokit.core.interop.objects import has_faces
-from geokit.core.user_arrays import LARGEST_MEASURED, read_vectors
+from geokit.core.interop.user_arrays import LARGEST_MEASURED, read_vectors
 from geokit.errors import InputError
 from geokit.points.search.nearest import build_tree, nearest
 

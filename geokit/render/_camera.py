@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core.user_arrays import require_finite_scalar
+from geokit.core.interop.user_arrays import require_finite_scalar
 from geokit.errors import InputError
 
 if TYPE_CHECKING:

@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from geokit.core.files import atomic_path
 from geokit.core.gradients.differentiable import of_constants
 from geokit.core.interop.types import MeshLike, Rows
+from geokit.core.interop.user_arrays import require_finite_scalar
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_choice, require_flag, require_instance, require_one_world
-from geokit.core.running.interrupts import signals_held
-from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError, MissingDependencyError
 from geokit.points._io import PointCloud
 from geokit.render._backend import pyvista

@@ -11,9 +11,9 @@ import numpy as np
 
 from geokit.core.gradients.differentiable import of_constants
 from geokit.core.interop.types import Device
+from geokit.core.interop.user_arrays import require_finite_scalar
 from geokit.core.memory.needs import needs
 from geokit.core.require import described, read_array, require_choice
-from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
 from geokit.render._checks import (
     DIVERGING,

@@ -7,9 +7,9 @@ from typing import Any
 from geokit.core import launcher
 from geokit.core.blocks.several_devices import over_devices
 from geokit.core.interop.types import Devices, Rows
+from geokit.core.interop.user_arrays import read_vectors
 from geokit.core.launches.replay import replayed
 from geokit.core.memory.needs import needs, rows
-from geokit.core.user_arrays import read_vectors
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.sampling.space import query_inputs, require_space
 from geokit.volume.tree.leaves import require_volume

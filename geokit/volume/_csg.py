@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from geokit.core.gradients.differentiable import of_constants
+from geokit.core.interop.user_arrays import require_finite_scalar
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_one_world
-from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
 from geokit.volume.level_set.band_widths import widths_of, with_widths
 from geokit.volume.level_set.false_walls import without_false_walls

@@ -8,9 +8,9 @@ from geokit.core import launcher
 from geokit.core.blocks.several_devices import over_devices
 from geokit.core.gradients.differentiable import undifferentiable
 from geokit.core.interop.types import Devices, Rows
+from geokit.core.interop.user_arrays import Batch, read_vectors
 from geokit.core.launches.replay import replayed
 from geokit.core.memory.needs import needs, rows
-from geokit.core.user_arrays import Batch, read_vectors
 from geokit.errors import UnsupportedGridError
 from geokit.volume._sample import is_scalar, require_order, view_as
 from geokit.volume.model.sparse_volume import SparseVolume

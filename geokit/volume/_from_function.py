@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geokit.core import user_arrays
+from geokit.core.interop import user_arrays
 from geokit.core.memory import available_memory
 from geokit.core.memory.needs import needs
 from geokit.core.require import described, read_array, require_count

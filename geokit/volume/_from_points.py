@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core import launcher, user_arrays
+from geokit.core import launcher
+from geokit.core.interop import user_arrays
 from geokit.core.interop.types import Device, Rows
 from geokit.core.memory import available_memory
 from geokit.core.memory.needs import needs

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from geokit.core import launcher, user_arrays
+from geokit.core import launcher
 from geokit.core.blocks.several_devices import over_devices
 from geokit.core.gradients.differentiable import differentiable
+from geokit.core.interop import user_arrays
 from geokit.core.interop.types import Devices, Rows
 from geokit.core.memory.needs import needs, rows
 from geokit.core.memory.pinned import host_flags

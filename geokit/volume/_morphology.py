@@ -6,9 +6,9 @@ from typing import Any
 
 from geokit._warn import warn
 from geokit.core.interop.types import Device
+from geokit.core.interop.user_arrays import require_finite_scalar
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_choice, require_count
-from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
 from geokit.volume.band.fields import half_widths
 from geokit.volume.level_set.active_morphology import MOST_VOXELS, NEIGHBORS, changed_topology

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core import user_arrays
+from geokit.core.interop import user_arrays
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_choice, require_flag
 from geokit.errors import InputError, UnsupportedGridError

@@ -8,9 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from geokit.core import launcher, user_arrays
+from geokit.core import launcher
 from geokit.core.blocks.several_devices import over_devices
 from geokit.core.gradients.differentiable import differentiable
+from geokit.core.interop import user_arrays
 from geokit.core.interop.types import Devices, Rows
 from geokit.core.launches.replay import replayed
 from geokit.core.memory.needs import needs, rows

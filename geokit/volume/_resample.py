@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from geokit.core import launcher
 from geokit.core.gradients.differentiable import of_constants
 from geokit.core.interop.types import Device
+from geokit.core.interop.user_arrays import require_finite_scalar
 from geokit.core.memory.needs import needs
 from geokit.core.memory.row_products import row_product
-from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError, UnsupportedGridError
 from geokit.volume._active import active_at
 from geokit.volume._sample import require_order, sample

@@ -11,11 +11,11 @@ from geokit.core import launcher
 from geokit.core.blocks.several_devices import over_devices
 from geokit.core.gradients.differentiable import differentiable
 from geokit.core.interop.types import Devices, Rows
+from geokit.core.interop.user_arrays import read_vectors
 from geokit.core.launches.replay import replayed
 from geokit.core.memory.needs import needs, rows
 from geokit.core.poses.placed import placed
 from geokit.core.require import described, whole_number
-from geokit.core.user_arrays import read_vectors
 from geokit.errors import InputError, UnsupportedGridError
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.types import COMPONENTS, INDEX_TYPES

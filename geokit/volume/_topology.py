@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geokit.core.interop.user_arrays import require_finite_scalar
 from geokit.core.memory.needs import needs
 from geokit.core.require import read_array
-from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.tree.clip import clipped

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from geokit.core import launcher
 from geokit.core.gradients.rules import hold, split
 from geokit.core.interop.arrays import import_array, is_exporter, reinterpreted
+from geokit.core.interop.user_arrays import reported_row
 from geokit.core.memory.needs import needs
 from geokit.core.require import read_array
-from geokit.core.user_arrays import reported_row
 from geokit.errors import InputError
 from geokit.volume.model.sparse_volume import SparseVolume, made_on_device
 from geokit.volume.nanovdb.checks import check_volume, mark_checked

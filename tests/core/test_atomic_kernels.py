@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import warp as wp
 
-from geokit.core import launcher, user_arrays
+from geokit.core import launcher
 from geokit.core.atomic_kernels import add_to, lower_to
+from geokit.core.interop import user_arrays
 from tests.support.devices import DEVICES
 
 wp.set_module_options({"enable_backward": False})

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geokit.accuracy.trials.model import Measurement
+from geokit.core.interop.user_arrays import require_finite_scalar
 from geokit.core.require import read_array
-from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
 
 __all__ = ["cost_of", "front", "front_of", "knee", "same_question", "tolerance_steps"]

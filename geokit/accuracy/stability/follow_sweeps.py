@@ -18,6 +18,7 @@ from geokit.accuracy.trials.time_left import time_left
 from geokit.core import launcher
 from geokit.core.files import atomic_path, is_there
 from geokit.core.interop.types import Device
+from geokit.core.interop.user_arrays import require_finite_scalar
 from geokit.core.memory.needs import needs
 from geokit.core.require import (
     require_callable,
@@ -27,7 +28,6 @@ from geokit.core.require import (
     require_items,
     require_path,
 )
-from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import FileAccessError, GeokitError, InputError
 
 __all__ = ["Outcome", "follow", "inside", "keeps", "promised", "sweeps", "write_stability"]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geokit.core import user_arrays
+from geokit.core.interop import user_arrays
 from geokit.core.interop.arrays import led
 from geokit.core.memory import available_memory
 from geokit.core.require import require_callable
@@ -62,13 +62,14 @@ def in_chunks(
 
     Args:
         query: Takes one Batch for each of ``values`` and returns an array or a NamedTuple of arrays, of the caller's
-            kind. It may pass the rows to kernels only; see ``pin`` of :func:`geokit.core.user_arrays.read_vectors`.
+            kind. It may pass the rows to kernels only; see ``pin`` of
+            :func:`geokit.core.interop.user_arrays.read_vectors`.
         values: The caller's arrays, shape (..., 3) each, or one row for all.
         names: Their names for error messages.
         device: The query device.
         progress: Called after each chunk with (rows done, rows in total).
         defer: Leave the check for rows that are not finite to the query's kernel; see
-            :func:`geokit.core.user_arrays.read_vectors`.
+            :func:`geokit.core.interop.user_arrays.read_vectors`.
     Returns:
         The result of ``query`` for all rows.
     """

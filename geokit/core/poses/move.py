@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core import launcher, user_arrays
+from geokit.core import launcher
+from geokit.core.interop import user_arrays
 from geokit.core.require import read_array, require_affine
 from geokit.errors import InputError
 

@@ -10,8 +10,9 @@ from typing import Any, ParamSpec, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core import launcher, user_arrays
+from geokit.core import launcher
 from geokit.core.gradients.rules import held_by, is_tracked
+from geokit.core.interop import user_arrays
 from geokit.core.memory.needs import needs
 from geokit.core.memory.needs import rows as count
 from geokit.core.poses.move import BYTES_PER_MOVE, move, require_rigid

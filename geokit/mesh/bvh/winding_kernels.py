@@ -10,8 +10,8 @@ import numpy as np
 import warp as wp
 
 from geokit.core.cpp import cpp
+from geokit.core.interop.user_arrays_kernels import is_measurable
 from geokit.core.morton_order_kernels import prefetch_query
-from geokit.core.user_arrays_kernels import is_measurable
 from geokit.mesh.bvh.bvh8_build_cpu_kernels import STACK
 from geokit.mesh.bvh.bvh8_moments_kernels import MOMENT_ROWS
 from geokit.mesh.bvh.leaf_planes_kernels import PLANE_ROWS

@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 from geokit.core import launcher
 from geokit.core.base.snapshot import on_snapshot, snapshot
 from geokit.core.gradients.differentiable import undifferentiable
+from geokit.core.interop.user_arrays import LARGEST_MEASURED
 from geokit.core.memory.needs import needs
 from geokit.core.poses.move import move
 from geokit.core.require import require_affine, require_one_world
-from geokit.core.user_arrays import LARGEST_MEASURED
 from geokit.errors import InputError
 from geokit.mesh.queries.overlaps import LEAF_GRAIN, OverlapQueries, require_surface
 from geokit.mesh.topology.size_limits import require_measurable

@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core import launcher, user_arrays
+from geokit.core import launcher
 from geokit.core.gradients.library import Library, cross, dot, length
 from geokit.core.gradients.rules import Asked, Deferred, Rule
+from geokit.core.interop import user_arrays
 from geokit.mesh.queries.foot_slopes_kernels import DISTANCE_SLOPES, FOOT_SLOPES, ROUNDING, SHORT
 
 __all__ = [

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core import launcher, user_arrays
+from geokit.core import launcher
 from geokit.core.base.snapshot import on_snapshot, snapshot
+from geokit.core.interop import user_arrays
 from geokit.core.interop.types import Rows
 from geokit.core.memory import available_memory
 from geokit.core.memory.needs import needs, rows

@@ -7,10 +7,11 @@ from collections.abc import Callable
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from geokit.core import launcher, user_arrays
+from geokit.core import launcher
 from geokit.core.base.snapshot import on_snapshot
 from geokit.core.blocks.chunked_queries import Progress, in_chunks
 from geokit.core.gradients.differentiable import differentiable, undifferentiable
+from geokit.core.interop import user_arrays
 from geokit.core.interop.types import Rows
 from geokit.core.launches.late_checks import later
 from geokit.core.launches.replay import replayed

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core import launcher, user_arrays
+from geokit.core import launcher
+from geokit.core.interop import user_arrays
 from geokit.core.memory.pinned import host_flags
 from geokit.mesh.queries.points import ClosestPoints
 from geokit.mesh.sign.choice import largest_of_each

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geokit.core import launcher, user_arrays
+from geokit.core import launcher
+from geokit.core.interop import user_arrays
 from geokit.core.memory.pinned import host_flags
 
 if TYPE_CHECKING:

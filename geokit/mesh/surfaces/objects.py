@@ -104,7 +104,7 @@ def _carried(
 
 
 def _vertices(points: Any, name: str) -> NDArray[np.float64]:
-    from geokit.core.user_arrays import read_numbers
+    from geokit.core.interop.user_arrays import read_numbers
 
     # Those of warp are refused where a tape is recording.
     if getattr_or_none(points, "requires_grad") is True and not is_warp_array(points):

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from geokit.core import launcher, user_arrays
+from geokit.core import launcher
 from geokit.core.base.object_cache import CacheAttribute
 from geokit.core.gradients.differentiable import differentiable
 from geokit.core.gradients.rules import hold, is_tracked, split
+from geokit.core.interop import user_arrays
 from geokit.core.interop.types import Device, Rows
 from geokit.core.memory.host_array import HostArray
 from geokit.core.memory.needs import needs, rows

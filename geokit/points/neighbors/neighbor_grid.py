@@ -18,13 +18,13 @@ from geokit.core.blocks.several_devices import OnDevices, replicas, shares, show
 from geokit.core.gradients.differentiable import differentiable, undifferentiable
 from geokit.core.gradients.rules import hold, split
 from geokit.core.interop.types import Devices, Rows
+from geokit.core.interop.user_arrays import LARGEST_MEASURED, Batch, read_vectors, require_finite
 from geokit.core.launches import replay
 from geokit.core.launches.replay import replayed
 from geokit.core.memory import available_memory
 from geokit.core.memory.needs import needs, rows
 from geokit.core.require import require_count, require_flag
 from geokit.core.scan import row_offsets
-from geokit.core.user_arrays import LARGEST_MEASURED, Batch, read_vectors, require_finite
 from geokit.errors import DeviceMemoryError, InputError
 from geokit.points.search import radius as search
 from geokit.points.search.cells import Cells, build_cells, survey, usual_spacing

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.interop.user_arrays import read_numbers
 from geokit.core.memory.struct_array import layout_of_struct, struct_array
-from geokit.core.user_arrays import read_numbers
 from geokit.errors import InputError
 from geokit.points.search.cells import FEW_CELLS, INTERVALS, Cells, Survey, frame, intervals, place, survey
 

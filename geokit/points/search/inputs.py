@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from geokit.core.interop.user_arrays import read_numbers, require_finite_scalar
 from geokit.core.require import require_choice, require_flag
-from geokit.core.user_arrays import read_numbers, require_finite_scalar
 from geokit.errors import InputError
 
 __all__ = ["require_order", "require_radii", "require_radius", "require_self", "require_skin"]

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.interop.user_arrays import read_numbers
 from geokit.core.memory import available_memory, host_pool
 from geokit.core.scan import prefix_sum
-from geokit.core.user_arrays import read_numbers
 from geokit.errors import DeviceMemoryError, InputError
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
-from geokit.core.user_arrays import read_vectors
+from geokit.core.interop.user_arrays import read_vectors
 from geokit.errors import DeviceMemoryError
 from geokit.formats.columns import Columns
 from geokit.points._density import density

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from geokit.core.content_limit import working_memory
 from geokit.core.files import require_room
+from geokit.core.interop.user_arrays import require_finite_scalar
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_flag, require_path
-from geokit.core.user_arrays import require_finite_scalar
 from geokit.formats.blocks.points import PointFile, open_points
 from geokit.formats.blocks.records import AT_A_TIME, BYTES_AT_A_TIME, work_folder
 from geokit.points.streamed.columns import Around, longest_reach, smaller

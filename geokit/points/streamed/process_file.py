@@ -18,10 +18,10 @@ from geokit.core.base.private_folder import private_folder
 from geokit.core.blocks.chunked_queries import Progress, in_percent
 from geokit.core.files import atomic_path, require_extension, require_room
 from geokit.core.interop.types import Device
+from geokit.core.interop.user_arrays import require_finite_scalar
 from geokit.core.memory.available_memory import available
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_flag, require_mapping, require_path
-from geokit.core.user_arrays import require_finite_scalar
 from geokit.errors import InputError
 from geokit.formats.blocks.points import KINDS, Block, PointFile, PointFileWriter, open_points
 from geokit.formats.blocks.records import AT_A_TIME, BYTES_AT_A_TIME, Known

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit._warn import warn
-from geokit.core import launcher, user_arrays
+from geokit.core import launcher
 from geokit.core.base.snapshot import snapshot
+from geokit.core.interop import user_arrays
 from geokit.core.interop.types import MeshLike
 from geokit.core.require import described, require_choice
 from geokit.errors import InputError, MissingDependencyError

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core import user_arrays
+from geokit.core.interop import user_arrays
 from geokit.errors import InputError
 
 __all__ = ["checked_band", "index_translation"]

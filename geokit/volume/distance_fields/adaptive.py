@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core import launcher, user_arrays
+from geokit.core import launcher
 from geokit.core.base.object_cache import CacheAttribute
 from geokit.core.gradients.differentiable import differentiable, of_constants
+from geokit.core.interop import user_arrays
 from geokit.core.interop.types import Device, MeshLike, Rows
 from geokit.core.launches.replay import replayed
 from geokit.core.memory.needs import file_size, needs, rows

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from geokit.core import user_arrays
 from geokit.core.blocks.chunked_queries import Progress
 from geokit.core.gradients.differentiable import of_constants
+from geokit.core.interop import user_arrays
 from geokit.core.interop.types import Device, MeshLike
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_callable, require_choice, require_flag, require_text

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geokit.core import launcher, user_arrays
+from geokit.core import launcher
 from geokit.core.gradients.library import Library
 from geokit.core.gradients.rules import Asked, Deferred, Rule, held_by, untracked
+from geokit.core.interop import user_arrays
 from geokit.core.interop.arrays import reinterpreted
 from geokit.core.memory.pinned import host_flags
 from geokit.volume.rays.ray_field import ray_field, read_rays

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core import user_arrays
+from geokit.core.interop import user_arrays
 from geokit.errors import UnsupportedGridError
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.checks import check_volume

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from geokit.core import launcher, user_arrays
+from geokit.core import launcher
+from geokit.core.interop import user_arrays
 from geokit.core.launches.late_checks import later
 from geokit.core.memory.needs import is_out_of_memory
 from geokit.core.memory.pinned import host_flags

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from geokit._warn import warn
-from geokit.core import launcher, user_arrays
+from geokit.core import launcher
 from geokit.core.blocks.chunked_queries import Progress, in_percent
 from geokit.core.files import atomic_path, require_extension, require_room
+from geokit.core.interop import user_arrays
 from geokit.core.interop.types import Device
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_choice, require_path, require_text

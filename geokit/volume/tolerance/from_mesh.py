@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core import user_arrays
 from geokit.core.blocks.chunked_queries import Progress
+from geokit.core.interop import user_arrays
 from geokit.core.interop.types import MeshLike
 from geokit.core.require import require_choice, require_count
 from geokit.errors import InputError

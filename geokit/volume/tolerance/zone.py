@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core import user_arrays
+from geokit.core.interop import user_arrays
 from geokit.errors import InputError
 
 __all__ = ["FEW", "THIN", "Zone", "checked_within", "require_extent", "rounding_of"]

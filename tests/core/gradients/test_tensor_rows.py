@@ -14,8 +14,8 @@ torch = pytest.importorskip("torch")
 from geokit.core import launcher  # noqa: E402
 from geokit.core.gradients import tensor_rows  # noqa: E402
 from geokit.core.gradients.tensor_rows import TensorRows, device_of, launch, number_of  # noqa: E402
+from geokit.core.interop.user_arrays_kernels import narrow_kernel, widen_kernel  # noqa: E402
 from geokit.core.launches import warp_private  # noqa: E402
-from geokit.core.user_arrays_kernels import narrow_kernel, widen_kernel  # noqa: E402
 
 TABLE = torch.arange(24, dtype=torch.float32).reshape(4, 6)
 ROWS = {

@@ -8,7 +8,8 @@ import warp as wp
 
 import geokit as gk
 from benchmarks.catalog import mesh_catalog
-from geokit.core import launcher, user_arrays
+from geokit.core import launcher
+from geokit.core.interop import user_arrays
 from geokit.core.launches.launch_cache import launch_argument
 from geokit.core.memory.host_array import HostArray
 from geokit.mesh.sign.parity_kernels import confidence_kernel

@@ -8,7 +8,8 @@ import warp as wp
 
 import geokit as gk
 from benchmarks.catalog import mesh_catalog
-from geokit.core import launcher, user_arrays
+from geokit.core import launcher
+from geokit.core.interop import user_arrays
 from geokit.core.memory import pinned
 from geokit.core.memory.pinned import Pinned, PinnedArray
 from geokit.mesh.sign.parity_kernels import confidence_kernel

@@ -309,7 +309,7 @@ def require_length(batch: Batch, name: str, shortest: float) -> None:
     """
     import warp as wp
 
-    from geokit.core.user_arrays_kernels import first_short_kernel
+    from geokit.core.interop.user_arrays_kernels import first_short_kernel
 
     row = reported_row(first_short_kernel, batch.rows, [wp.float64(shortest)])
     if row >= 0:
@@ -467,7 +467,7 @@ def _widen(rows: "wp.array") -> "wp.array":
     if rows.device.is_cpu:
         wide = rows.numpy().astype(np.float64)
         return wp.array(wide, dtype=wp.vec3d, device="cpu")
-    from geokit.core.user_arrays_kernels import widen_kernel
+    from geokit.core.interop.user_arrays_kernels import widen_kernel
 
     out = wp.empty(len(rows), dtype=wp.vec3d, device=rows.device)
     launcher.launch(widen_kernel, len(rows), [rows], [out], rows.device)
@@ -482,7 +482,7 @@ def _require_finite(rows: "wp.array", name: str, first_row: int, largest: float 
         return
     import warp as wp
 
-    from geokit.core.user_arrays_kernels import first_nonfinite_kernel
+    from geokit.core.interop.user_arrays_kernels import first_nonfinite_kernel
 
     wide = rows if rows.dtype is wp.vec3d else _widen(rows)
     row = reported_row(first_nonfinite_kernel, wide, [wp.float64(largest)])
@@ -510,7 +510,7 @@ def _narrowed(out: "wp.array", is_float32: bool) -> "wp.array":
 def _narrowed_there(out: "wp.array", narrow: Any) -> "wp.array":
     import warp as wp
 
-    from geokit.core.user_arrays_kernels import narrow_kernel
+    from geokit.core.interop.user_arrays_kernels import narrow_kernel
 
     result: Any = wp.empty(out.shape, dtype=narrow, device=out.device)
     size = out.size * (3 if narrow == wp.vec3f else 1)

@@ -11,11 +11,11 @@ import pytest
 import warp as wp
 
 import geokit as gk
-from geokit.core import launcher, user_arrays
-from geokit.core.interop import arrays
+from geokit.core import launcher
+from geokit.core.interop import arrays, user_arrays
+from geokit.core.interop.user_arrays import read_vectors, require_finite_scalar
 from geokit.core.memory.device_arena import ScratchArray
 from geokit.core.memory.host_array import HostArray
-from geokit.core.user_arrays import read_vectors, require_finite_scalar
 from tests.support.devices import DEVICES
 
 ROWS = np.array([[0.0, 1, 2], [3, 4, 5], [6, 7, 8], [0.1, 0.2, 0.3]])

@@ -8,7 +8,7 @@ from geokit.core.atomic_kernels import lower_to
 
 wp.set_module_options({"enable_backward": False})
 
-# LARGEST_MEASURED of core/user_arrays.
+# LARGEST_MEASURED of core/interop/user_arrays.
 LARGEST = wp.constant(wp.float64(1e150))
 
 
