@@ -30,7 +30,7 @@ class Package(NamedTuple):
 
 # By the name that is imported.
 PACKAGES: dict[str, Package] = {
-    "trimesh": Package("trimesh", "a .glb or .gltf file"),
+    "trimesh": Package("trimesh", "writing a .glb file"),
     "meshio": Package("meshio", "a .vtu, .msh or .xdmf file"),
     "vtkmodules": Package("vtk", "a .vtk, .vtp, .vtu or .vti file,"),
     "pyvista": Package("pyvista", "a figure, an object of PyVista, and writing .vtk or .vtp,"),

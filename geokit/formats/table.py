@@ -154,7 +154,7 @@ FORMATS: dict[str, Format] = {
     ".ply": Format("ply", mesh="rw", points="rw", vertex="*", face="*", corner="*", references=True),
     ".stl": Format("stl", mesh="rw", float32=True, **_Z),
     ".off": Format("off", mesh="rw", vertex="normal uv color", face="color"),
-    # trimesh
+    # geokit's own readers, whose content a small file can multiply; trimesh writes .glb without attributes.
     ".glb": Format("scenes", **_GLTF),
     ".gltf": Format("scenes", **_GLTF),
     ".3mf": Format(

@@ -150,7 +150,7 @@ def test_a_missing_package_is_named(cube: Path, tmp_path: Path) -> None:
     assert done.stderr == (
         f"geokit: warning: {tmp_path / 'cube.glb'}: the unit of the mesh is not known, and the file says meter; say it "
         "with convert_unit(mesh, from_unit=...)\n"
-        "geokit: a .glb or .gltf file needs the package trimesh; install it with: pip install trimesh\n"
+        "geokit: writing a .glb file needs the package trimesh; install it with: pip install trimesh\n"
     )
     assert not list(tmp_path.iterdir())
 

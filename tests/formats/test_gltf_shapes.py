@@ -411,6 +411,38 @@ def test_hidden_nodes_are_left_out_with_all_below(scene: Scene, tmp_path: Path) 
     assert scene.load(tmp_path).face_count == 12
 
 
+def test_nodes_with_cameras_are_placed_as_others_are(scene: Scene, tmp_path: Path) -> None:
+    """With their meshes and children; primitives of one node are numbered."""
+    scene.box()
+    scene.tree["meshes"][0]["primitives"] *= 2
+    scene.tree["cameras"] = [{"type": "perspective", "perspective": {"znear": 0.1, "aspectRatio": 1.5, "yfov": 0.7}}]
+    scene.tree["nodes"] = [
+        {"name": "world", "mesh": 0},
+        {"name": "eye", "camera": 0, "mesh": 0, "translation": [10, 0, 0], "children": [2]},
+        {"name": "eye", "mesh": 0, "translation": [10, 0, 0]},
+    ]
+    scene.tree["scenes"][0]["nodes"] = [0, 1]
+    mesh = scene.load(tmp_path)
+    assert [part.name for part in mesh.parts] == ["eye_0", "eye_1", "eye_1_0", "eye_1_1", "world_0", "world_1"]
+    assert mesh.vertices.reshape(6, 8, 3).mean(axis=1)[:, 0].tolist() == [10, 10, 20, 20, 0, 0]
+
+
+@pytest.mark.parametrize("size", [0, 95])
+def test_a_view_that_is_too_short_is_refused(scene: Scene, tmp_path: Path, size: int) -> None:
+    scene.box()
+    scene.tree["bufferViews"][0].update(byteLength=size, byteStride=12)
+    with pytest.raises(gk.FileFormatError, match="8 elements of 12 bytes reach beyond buffer view 0"):
+        scene.load(tmp_path)
+
+
+@pytest.mark.parametrize(("entry", "index"), [("children", -1), ("mesh", -1), ("mesh", 1)])
+def test_numbers_of_no_node_and_no_mesh_are_refused(scene: Scene, tmp_path: Path, entry: str, index: int) -> None:
+    scene.box()
+    scene.tree["nodes"][0][entry] = [index] if entry == "children" else index
+    with pytest.raises(gk.FileFormatError, match=r"a\.gltf: its meshes cannot be read \(IndexError"):
+        scene.load(tmp_path)
+
+
 class TestCompressed:
     def test_positions_that_only_a_decoder_has_are_refused(self, scene: Scene, tmp_path: Path) -> None:
         """Whether the file says that it requires the extension or not."""

@@ -30,8 +30,6 @@ __all__ = [
     "holds_texture",
     "holds_type",
     "materials_of",
-    "renamed",
-    "split_header",
 ]
 
 _MAGIC, _JSON, _BINARY = b"glTF", b"JSON", b"BIN\0"
@@ -47,49 +45,6 @@ _ARRAYS, _INDICES = 34962, 34963
 _LARGEST_EXACT = 1 << 24
 
 
-def split_header(data: bytes) -> tuple[dict[str, Any], bytes]:
-    """The header of a .gltf or .glb, and the chunks behind it.
-
-    Raises:
-        ValueError: It is none of version 2, or is damaged.
-    """
-    if data[:4] != _MAGIC:
-        return _object(json.loads(data)), b""
-    _, version, _, size, kind = struct.unpack_from("<4sIII4s", data)
-    if version != 2 or kind != _JSON:
-        raise ValueError("no glTF 2.0")
-    return _object(json.loads(data[20 : 20 + size])), data[20 + size :]
-
-
-def _object(value: Any) -> dict[str, Any]:
-    if not isinstance(value, dict):
-        raise ValueError("the header is no object")
-    return value
-
-
-def renamed(header: dict[str, Any], chunks: bytes, *, binary: bool) -> bytes:
-    """The file with names by which trimesh hands over its attributes unchanged, and materials that are numbers."""
-    meshes = [
-        {
-            **mesh,
-            "primitives": [
-                {**part, "attributes": {_custom(name): at for name, at in part["attributes"].items()}}
-                for part in mesh["primitives"]
-            ],
-        }
-        for mesh in header.get("meshes", ())
-    ]
-    changed = {name: value for name, value in header.items() if name not in ("textures", "images", "samplers")}
-    changed["meshes"] = meshes
-    if "materials" in header:
-        changed["materials"] = [{"name": str(number)} for number in range(len(header["materials"]))]
-    return _file(changed, chunks) if binary else json.dumps(changed).encode()
-
-
-def _custom(name: str) -> str:
-    return name if name.startswith("_") or name == "POSITION" else f"_{name}"
-
-
 def _file(header: dict[str, Any], chunks: bytes) -> bytes:
     text = json.dumps(header).encode()
     text += b" " * (-len(text) % 4)
@@ -98,7 +53,7 @@ def _file(header: dict[str, Any], chunks: bytes) -> bytes:
 
 
 def attributes_of(raw: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
-    """Attributes by geokit's names, from those of :func:`renamed`."""
+    """Attributes by geokit's names, from the file's."""
     found: dict[str, NDArray[Any]] = {}
     for name, given in raw.items():
         values = np.asarray(given)
@@ -114,13 +69,13 @@ def attributes_of(raw: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
 
 
 def materials_of(
-    header: dict[str, Any], chunks: bytes, get: Callable[[str], bytes]
+    header: dict[str, Any], view: Callable[[int], memoryview], get: Callable[[str], bytes]
 ) -> tuple[tuple[FileMaterial, ...], tuple[str, ...]]:
     """The materials, and notes on what of them is left out.
 
     Args:
         header: The header.
-        chunks: The chunks behind it.
+        view: The bytes of a buffer view.
         get: Reads a file by its reference.
     """
     notes: dict[str, None] = {}
@@ -139,7 +94,7 @@ def materials_of(
                 extensions = texture.get("extensions", {}).values()
                 at = next(part["source"] for part in (texture, *extensions) if "source" in part)
                 if at not in images:
-                    images[at] = _image(header, at, chunks, get)
+                    images[at] = _image(header, at, view, get)
                 name, data = images[at]
             except (FileAccessError, FileFormatError) as error:
                 notes[f"a texture is left out: {error}"] = None
@@ -154,16 +109,14 @@ def materials_of(
     return tuple(found), tuple(notes)
 
 
-def _image(header: dict[str, Any], at: int, chunks: bytes, get: Callable[[str], bytes]) -> tuple[str, bytes]:
+def _image(
+    header: dict[str, Any], at: int, view: Callable[[int], memoryview], get: Callable[[str], bytes]
+) -> tuple[str, bytes]:
     image = header["images"][at]
     if "uri" in image:
         data, name = _content(image["uri"], get), "" if image["uri"].startswith("data:") else image["uri"]
     else:
-        view = header["bufferViews"][image["bufferView"]]
-        uri, first = header["buffers"][view["buffer"]].get("uri"), view.get("byteOffset", 0)
-        # Eight bytes of length and kind stand before the binary chunk.
-        content = chunks[8:] if uri is None else _content(uri, get)
-        data, name = content[first : first + view["byteLength"]], image.get("name", "")
+        data, name = bytes(view(image["bufferView"])), image.get("name", "")
     kind = next((kind for magic, kind in _IMAGES.items() if data.startswith(magic)), image.get("mimeType", ""))
     name = PurePosixPath(name or f"texture_{at}").name
     end = {"image/png": ".png", "image/jpeg": ".jpg", "image/webp": ".webp"}.get(kind, "")

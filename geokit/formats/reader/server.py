@@ -1,6 +1,6 @@
 """Processes that have a library ready and read files with it, one for each module of formats.
 
-Importing trimesh or VTK takes a second and reading a small file a millisecond. So the process that has imported the
+Importing VTK takes a second and reading a small file a millisecond. So the process that has imported the
 library is kept, and forks itself for each file. What a file does to memory, working folder, handles or settings ends
 with its fork, and a crash costs a fork and not an import.
 

@@ -1,8 +1,4 @@
-"""What trimesh does not understand of a .gltf or .glb is written out as triangles, or refused by name.
-
-trimesh leaves out what it does not know: compressed meshes become triangles at one point, instances are lost, and
-normalized integers are taken for coordinates.
-"""
+"""The header and the buffers of a .gltf or .glb; what is not understood of it is refused by name."""
 
 from __future__ import annotations
 
@@ -15,9 +11,9 @@ from typing import Any
 from geokit.errors import FileFormatError
 from geokit.formats.scene_content.gltf_accessors import Accessors
 from geokit.formats.scene_content.gltf_entries import entry_of, object_of, objects, primitives_of
-from geokit.formats.scene_content.gltf_shapes import INSTANCES, VISIBILITY, needs_writing_out, write_out
+from geokit.formats.scene_content.gltf_shapes import INSTANCES, VISIBILITY, write_out
 
-__all__ = ["is_animated", "require_whole", "understood"]
+__all__ = ["is_animated", "opened"]
 
 # Extensions that do not change the shape, by the beginnings of their names.
 _LOOKS = (
@@ -37,40 +33,36 @@ _OTHER_VERSION = "{}: is glTF {}, and only 2 is read; convert it with gltf-pipel
 _JSON, _BINARY = 0x4E4F534A, 0x004E4942
 
 
-def understood(path: Path, read: Callable[[str], bytes]) -> bytes | None:
-    """The file with all that gives its meshes their shape as triangles; None if it is understood as it is.
+def opened(path: Path, read: Callable[[str], bytes]) -> tuple[dict[str, Any], Accessors]:
+    """The file's JSON, with all that gives its meshes their shape as positions and nodes, and its accessors.
+
+    A damaged file raises other errors too, as they come.
 
     Args:
         path: A .gltf or .glb file.
         read: Reads another file that this one refers to.
     Raises:
-        FileFormatError: The file needs an extension that is not understood, or is of another version of glTF, or its
-            meshes contradict themselves.
+        FileFormatError: The file needs an extension that is not understood, is of another version of glTF, or is cut
+            off.
     """
     data = path.read_bytes()
     if data.startswith(b"glTF") and len(data) >= 8 and data[4:8] != b"\2\0\0\0":
         raise FileFormatError(_OTHER_VERSION.format(path, int.from_bytes(data[4:8], "little")))
-    tree, binary = _opened(data)
-    if not isinstance(tree, dict):
-        return None  # trimesh says what is wrong
+    told = int.from_bytes(data[8:12], "little") if data.startswith(b"glTF") else 0
+    if len(data) < told:
+        raise FileFormatError(f"{path}: has {len(data)} of the {told} bytes that it says; get a whole copy")
+    tree, binary = _split(data)
     _require_understood(tree, path)
-    changed = [_with_a_scene(tree), _with_base_colors(tree), needs_writing_out(tree)]
-    if not any(changed):
-        return None
-    try:
-        if changed[-1]:
-            write_out(tree, Accessors(tree, binary, read))
-    except (ValueError, KeyError, IndexError, TypeError, AttributeError) as error:
-        raise FileFormatError(
-            f"{path}: its meshes cannot be read ({type(error).__name__}: {str(error)[:200]}); the file is damaged, "
-            "export it again"
-        ) from None
-    text = json.dumps(tree).encode()
-    if not data.startswith(b"glTF"):
-        return text
-    text += b" " * (-len(text) % 4)
-    parts = struct.pack("<II", len(text), _JSON) + text + struct.pack("<II", len(binary), _BINARY) + binary
-    return struct.pack("<4sII", b"glTF", 2, 12 + len(parts)) + parts
+    _add_a_scene(tree)
+    _add_base_colors(tree)
+    accessors = Accessors(tree, binary, read)
+    # Damage in what is not used is damage as well.
+    for number in range(len(tree.get("bufferViews", ()))):
+        accessors.view(number)
+    for number in range(len(tree.get("accessors", ()))):
+        accessors.stored(number)
+    write_out(tree, accessors)
+    return tree, accessors
 
 
 def is_animated(tree: dict[str, Any]) -> bool:
@@ -79,64 +71,46 @@ def is_animated(tree: dict[str, Any]) -> bool:
     return any(object_of(channel.get("target")).get("path") in _MOVES for channel in channels)
 
 
-def require_whole(path: Path, read: Callable[[str], bytes]) -> None:
-    """Say which part of a .gltf or .glb that cannot be read is cut off, if one is.
-
-    Raises:
-        FileFormatError: The file or one of its buffers is shorter than it says.
-    """
-    data = path.read_bytes()
-    tree, binary = _opened(data)
-    told = int.from_bytes(data[8:12], "little") if data.startswith(b"glTF") else 0
-    if len(data) < told:
-        raise FileFormatError(f"{path}: has {len(data)} of the {told} bytes that it says; get a whole copy")
-    accessors = Accessors(object_of(tree), binary, read)
-    for number, buffer in enumerate(objects(object_of(tree).get("buffers"))):
-        size, told = len(accessors.buffer(number)), buffer.get("byteLength")
-        if isinstance(told, int) and size < told:
-            uri = str(buffer.get("uri", "data:"))
-            name = "in the file" if uri.startswith("data:") else repr(uri[:80])
-            raise FileFormatError(f"{path}: buffer {number} ({name}) has {size} of its {told} bytes; get a whole copy")
-
-
-def _with_a_scene(tree: dict[str, Any]) -> bool:
-    """Whether the tree, which names no scenes, gets one of all nodes that are no children."""
+def _add_a_scene(tree: dict[str, Any]) -> None:
+    """Give a tree that names no scenes one of all nodes that are no children."""
     nodes = objects(tree.get("nodes"))
     if "scenes" in tree or not nodes:
-        return False
+        return
     children = {child for node in nodes for child in objects(node.get("children"), int)}
     tree["scenes"] = [{"nodes": [number for number in range(len(tree["nodes"])) if number not in children]}]
-    return True
 
 
-def _with_base_colors(tree: dict[str, Any]) -> bool:
-    """Whether materials of the older model, with specular colors, get their diffuse colors as base colors."""
-    changed = False
+def _add_base_colors(tree: dict[str, Any]) -> None:
+    """Give materials of the older model, with specular colors, their diffuse colors as base colors."""
     for material in objects(tree.get("materials")):
         old = object_of(object_of(material.get("extensions")).get("KHR_materials_pbrSpecularGlossiness"))
         names = {"diffuseFactor": "baseColorFactor", "diffuseTexture": "baseColorTexture"}
         if "pbrMetallicRoughness" not in material and names.keys() & old.keys():
             material["pbrMetallicRoughness"] = {new: old[name] for name, new in names.items() if name in old}
-            changed = True
-    return changed
 
 
-def _opened(data: bytes) -> tuple[Any, bytes]:
-    """The tree of a file, and the binary chunk of a .glb; None if it cannot be read."""
+def _split(data: bytes) -> tuple[dict[str, Any], bytes]:
+    """The tree of a file, and the binary chunk of a .glb."""
     binary = b""
-    try:
-        if data.startswith(b"glTF"):
-            size, kind = struct.unpack_from("<II", data, 12)
-            if kind != _JSON:
-                return None, b""
-            at = 20 + size
-            if at + 8 <= len(data):
-                length, _ = struct.unpack_from("<II", data, at)
-                binary = data[at + 8 : at + 8 + length]
-            data = data[20 : 20 + size]
-        return json.loads(data), binary
-    except (ValueError, struct.error, RecursionError):
-        return None, b""
+    if data.startswith(b"glTF"):
+        size, kind = struct.unpack_from("<II", data, 12)
+        if kind != _JSON:
+            raise ValueError("its first chunk is no JSON")
+        at = 20 + size
+        # Chunks of other kinds are to be passed over.
+        while at + 8 <= len(data):
+            length, kind = struct.unpack_from("<II", data, at)
+            at += 8 + length
+            if at > len(data):
+                raise ValueError("a chunk reaches beyond the file")
+            if kind == _BINARY and not binary:
+                binary = data[at - length : at]
+        data = data[20 : 20 + size]
+    # Names in the code page of a machine are no reason to refuse a file.
+    tree = json.loads(data.decode(json.detect_encoding(data), "replace"))
+    if not isinstance(tree, dict):
+        raise ValueError("its JSON is no object")
+    return tree, binary
 
 
 def _require_understood(tree: dict[str, Any], path: Path) -> None:

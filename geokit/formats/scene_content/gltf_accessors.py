@@ -9,15 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Accessors"]
+from geokit.errors import FileFormatError
+
+__all__ = ["FLOAT", "Accessors"]
 
 _KINDS: dict[int, np.dtype[Any]] = {
     5120: np.dtype("<i1"), 5121: np.dtype("<u1"), 5122: np.dtype("<i2"), 5123: np.dtype("<u2"), 5125: np.dtype("<u4"),
     5126: np.dtype("<f4"),
 }  # fmt: skip
-_CODES = {kind: code for code, kind in _KINDS.items()}
-_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-_TYPES = {width: name for name, width in _WIDTHS.items()}
+FLOAT = 5126
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 # An accessor without a buffer holds zeros, so its count is bounded by nothing in the file.
 _MOST_ZEROS = 1 << 27
 
@@ -35,10 +36,13 @@ class Accessors:
         self.tree = tree
         self._binary, self._read = binary, read
         self._buffers: dict[int, bytes] = {}
+        self._added: dict[int, NDArray[Any]] = {}
 
     def stored(self, index: int) -> NDArray[Any]:
         """The numbers as they are stored, (N, C), with sparse entries in place."""
-        accessor = self._entry("accessors", index)
+        if index in self._added:
+            return self._added[index]
+        accessor = self.entry("accessors", index)
         kind, width, count = _KINDS[accessor["componentType"]], _WIDTHS[accessor["type"]], _size(accessor["count"])
         if "bufferView" in accessor:
             values = self._rows(accessor["bufferView"], accessor.get("byteOffset", 0), kind, count, width)
@@ -64,30 +68,49 @@ class Accessors:
             return np.maximum(values / np.iinfo(values.dtype).max, -1.0)
         return values.astype(np.float64)
 
-    def add(self, values: NDArray[Any], *, normalized: bool = False) -> int:
-        """Add an array (N, C) in a buffer of its own; returns the number of its accessor."""
-        kind = np.dtype(values.dtype).newbyteorder("<")
-        data = np.ascontiguousarray(values, kind).tobytes()
-        uri = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
-        buffer = _added(self.tree, "buffers", {"byteLength": len(data), "uri": uri})
-        view = _added(self.tree, "bufferViews", {"buffer": buffer, "byteLength": len(data)})
-        place = {
-            "bufferView": view, "componentType": _CODES[kind], "count": len(values), "type": _TYPES[values.shape[1]],
-        }  # fmt: skip
-        return _added(self.tree, "accessors", {**place, "normalized": True} if normalized else place)
+    def add(self, values: NDArray[Any]) -> int:
+        """Add an array (N, C) as float32; returns the number of its accessor."""
+        index = len(self.tree["accessors"])
+        kind = next(name for name, width in _WIDTHS.items() if width == values.shape[1])
+        self.tree["accessors"].append({"componentType": FLOAT, "count": len(values), "type": kind})
+        self._added[index] = np.ascontiguousarray(values, "<f4")
+        return index
 
     def _rows(self, view: int, offset: Any, kind: np.dtype[Any], count: int, width: int) -> NDArray[Any]:
-        place = self._entry("bufferViews", view)
-        step = _size(place.get("byteStride") or width * kind.itemsize)
-        start = _size(place.get("byteOffset", 0)) + _size(offset)
-        # An array of no rows may begin at the end of its buffer.
-        buffer = self.buffer(place["buffer"]) if count else b""
-        return np.ndarray((count, width), kind, buffer, start if count else 0, (step, kind.itemsize))
+        content, row, start = self.view(view), width * kind.itemsize, _size(offset)
+        step = _size(self.tree["bufferViews"][view].get("byteStride", row))
+        if not count:
+            return np.empty((0, width), kind)  # which may begin at the end of its view
+        # NumPy does not check this for a view without bytes.
+        if not step or start + (count - 1) * step + row > len(content):
+            raise ValueError(f"{count} elements of {row} bytes reach beyond buffer view {view}")
+        return np.ndarray((count, width), kind, content, start, (step, kind.itemsize))
 
-    def buffer(self, number: int) -> bytes:
-        """The content of a buffer."""
+    def view(self, number: int) -> memoryview:
+        """The bytes of a buffer view.
+
+        Raises:
+            FileFormatError: The buffer is cut off.
+        """
+        place = self.entry("bufferViews", number)
+        first, size = _size(place.get("byteOffset", 0)), _size(place["byteLength"])
+        content = self._buffer(place["buffer"])
+        if first + size > len(content):
+            entry = self.entry("buffers", place["buffer"])
+            uri, told = str(entry.get("uri", "data:")), entry.get("byteLength")
+            if isinstance(told, int) and len(content) < told:
+                name = "in the file" if uri.startswith("data:") else repr(uri[:80])
+                raise FileFormatError(
+                    f"buffer {place['buffer']} ({name}) has {len(content)} of its {told} bytes; get a whole copy"
+                )
+            raise ValueError(f"buffer view {number} reaches beyond its buffer")
+        return memoryview(content)[first : first + size]
+
+    def _buffer(self, number: int) -> bytes:
         if number not in self._buffers:
-            uri = self._entry("buffers", number).get("uri")
+            uri = self.entry("buffers", number).get("uri")
+            if uri is None and number:
+                raise ValueError(f"buffer {number} has no content")
             if uri is None:
                 self._buffers[number] = self._binary
             else:
@@ -96,16 +119,12 @@ class Accessors:
                 self._buffers[number] = base64.b64decode(content) if is_inline else self._read(str(uri))
         return self._buffers[number]
 
-    def _entry(self, name: str, index: Any) -> dict[str, Any]:
+    def entry(self, name: str, index: Any) -> dict[str, Any]:
+        """The entry of that number in a list of the file."""
         if not isinstance(index, int) or index < 0:
             raise IndexError(f"{name}: {index!r}")
         entry: dict[str, Any] = self.tree[name][index]
         return entry
-
-
-def _added(tree: dict[str, Any], name: str, entry: dict[str, Any]) -> int:
-    tree.setdefault(name, []).append(entry)
-    return len(tree[name]) - 1
 
 
 def _size(value: Any) -> int:

@@ -1,11 +1,11 @@
-"""What gives a glTF mesh its shape beside plain triangles is written out as such: trimesh knows only these.
+"""What gives a glTF mesh its shape beside positions and nodes is written out as such.
 
-Triangle fans, sparse and normalized positions, default weights of morph targets, skins in the pose of their nodes, and
-instances become triangles, float positions and nodes; hidden nodes lose their meshes. The first texture coordinates
-become those of the base color's texture, where a file has others there or transforms them.
+Default weights of morph targets, skins in the pose of their nodes, and instances become float positions and nodes;
+hidden nodes lose their meshes. The first texture coordinates become those of the base color's texture, where a file has
+others there or transforms them.
 
 Source:
-    Khronos, glTF 2.0 Specification, 3.6.2.3 (sparse), 3.7.2.1 (topology), 3.7.2.2 (morph targets), 3.7.3 (skins);
+    Khronos, glTF 2.0 Specification, 3.7.2.2 (morph targets), 3.7.3 (skins);
     EXT_mesh_gpu_instancing; KHR_node_visibility; KHR_texture_transform, whose rotation is that of its example: counter-
     clockwise in an image whose rows go down.
 """
@@ -19,35 +19,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.formats.scene_content.gltf_accessors import Accessors
+from geokit.formats.scene_content.gltf_accessors import FLOAT, Accessors
 from geokit.formats.scene_content.gltf_entries import entry_of, object_of, objects, primitives_of
 
-__all__ = ["INSTANCES", "VISIBILITY", "needs_writing_out", "turn_of", "write_out"]
+__all__ = ["INSTANCES", "VISIBILITY", "local_pose", "turn_of", "write_out"]
 
 INSTANCES = "EXT_mesh_gpu_instancing"
 VISIBILITY = "KHR_node_visibility"
 _TRANSFORM = "KHR_texture_transform"
-_FAN, _TRIANGLES = 6, 4
-_FLOAT = 5126
+_SHORTEST = 4 * np.finfo(np.float64).eps
 _WEIGHT, _JOINT = "WEIGHTS_", "JOINTS_"
 
 
-def needs_writing_out(tree: dict[str, Any]) -> bool:
-    """Whether anything of a file must be written out."""
-    nodes = objects(tree.get("nodes"))
-    return (
-        any(_is_shaped(tree, primitive) or _has_other_uv(tree, primitive) for primitive in primitives_of(tree))
-        or any(INSTANCES in object_of(node.get("extensions")) or _is_skinned(node) for node in nodes)
-        or any(map(_is_hidden, nodes))
-        or any(_weights(tree, node) for node in nodes)
-    )
-
-
 def write_out(tree: dict[str, Any], accessors: Accessors) -> None:
-    """Change the file's JSON so that triangles, float positions and nodes are all there is."""
+    """Change the file's JSON so that float positions and nodes are all there is."""
     done: dict[tuple[str, int], int] = {}
     for primitive in primitives_of(tree):
-        _plain(tree, primitive, accessors, done)
+        _float_positions(primitive, accessors, done)
     hidden = [number for number, node in enumerate(tree.get("nodes", ())) if _is_hidden(node)]
     for number in _reached(tree, hidden):
         tree["nodes"][number].pop("mesh", None)
@@ -70,52 +58,17 @@ def write_out(tree: dict[str, Any], accessors: Accessors) -> None:
     for primitive in primitives_of(tree):
         if _has_other_uv(tree, primitive):
             _base_uv(tree, primitive, accessors, done)
-    for name in ("extensionsUsed", "extensionsRequired"):
-        if name in tree:
-            tree[name] = [entry for entry in tree[name] if entry not in (INSTANCES, VISIBILITY)]
 
 
-def _is_shaped(tree: dict[str, Any], primitive: dict[str, Any]) -> bool:
-    attributes = object_of(primitive.get("attributes"))
-    places = [*attributes.values(), primitive.get("indices")]
-    position = entry_of(tree, "accessors", attributes.get("POSITION"))
-    return (
-        primitive.get("mode") == _FAN
-        or any("sparse" in object_of(entry_of(tree, "accessors", index)) for index in places)
-        or (bool(position) and object_of(position).get("componentType") != _FLOAT)
-    )
-
-
-def _plain(
-    tree: dict[str, Any], primitive: dict[str, Any], accessors: Accessors, done: dict[tuple[str, int], int]
-) -> None:
-    """Float positions, no sparse accessors, and triangles for a fan."""
-
-    def written(index: Any, *, as_float: bool) -> Any:
-        entry = tree["accessors"][index]
-        if "sparse" not in entry and not (as_float and entry.get("componentType") != _FLOAT):
-            return index
-        key = "float" if as_float else "stored", index
-        if key not in done:
-            values = accessors.numbers(index).astype("<f4") if as_float else accessors.stored(index)
-            done[key] = accessors.add(values, normalized=not as_float and entry.get("normalized") is True)
-        return done[key]
-
+def _float_positions(primitive: dict[str, Any], accessors: Accessors, done: dict[tuple[str, int], int]) -> None:
     attributes = primitive["attributes"]
-    for name, index in attributes.items():
-        if entry_of(tree, "accessors", index):
-            attributes[name] = written(index, as_float=name == "POSITION")
-    if entry_of(tree, "accessors", primitive.get("indices")):
-        primitive["indices"] = written(primitive["indices"], as_float=False)
-    if primitive.get("mode") == _FAN:
-        if "indices" in primitive:
-            corners = accessors.stored(primitive["indices"])[:, 0].astype("<u4")
-        else:
-            corners = np.arange(tree["accessors"][attributes["POSITION"]]["count"], dtype="<u4")
-        rim = corners[1:]
-        fan = np.stack([np.broadcast_to(corners[:1], rim[1:].shape), rim[:-1], rim[1:]], axis=1)
-        primitive["indices"] = accessors.add(np.ascontiguousarray(fan).reshape(-1, 1))
-        primitive["mode"] = _TRIANGLES
+    index = attributes["POSITION"]
+    if accessors.stored(index).dtype.kind == "f":
+        return
+    key = "float", index
+    if key not in done:
+        done[key] = accessors.add(accessors.numbers(index))
+    attributes["POSITION"] = done[key]
 
 
 def _uv_of(tree: dict[str, Any], primitive: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
@@ -132,7 +85,7 @@ def _has_other_uv(tree: dict[str, Any], primitive: dict[str, Any]) -> bool:
     given = entry_of(tree, "accessors", object_of(primitive.get("attributes")).get(f"TEXCOORD_{number}"))
     if given is None:
         return False
-    plain = given.get("componentType") == _FLOAT or given.get("normalized") is True
+    plain = given.get("componentType") == FLOAT or given.get("normalized") is True
     return number != 0 or not plain or any(name in transform for name in ("offset", "rotation", "scale"))
 
 
@@ -149,7 +102,7 @@ def _base_uv(
         sine, cosine = np.sin(transform.get("rotation", 0.0)), np.cos(transform.get("rotation", 0.0))
         u, v = (accessors.numbers(index) * scale).T
         moved = np.stack([cosine * u + sine * v, cosine * v - sine * u], axis=1) + offset
-        done[key] = accessors.add(moved.astype("<f4"))
+        done[key] = accessors.add(moved)
     first = attributes.get("TEXCOORD_0")
     if number and first is not None:
         attributes[f"TEXCOORD_{number}"] = first
@@ -199,7 +152,7 @@ def _morphed(tree: dict[str, Any], number: int, weights: list[float], accessors:
                 values = _unit(values)
             elif name.startswith("COLOR_"):
                 values = np.clip(values, 0.0, 1.0)
-            changed["attributes"][name] = accessors.add(values.astype("<f4"))
+            changed["attributes"][name] = accessors.add(values)
         mesh["primitives"].append(changed)
     tree["meshes"].append(mesh)
     return len(tree["meshes"]) - 1
@@ -256,13 +209,13 @@ def _skinned(
     blended[total[:, 0] <= 0.0] = resting
     points = accessors.numbers(attributes["POSITION"])
     moved = np.einsum("vij,vj->vi", blended[:, :3, :3], points) + blended[:, :3, 3]
-    attributes["POSITION"] = accessors.add(moved.astype("<f4"))
+    attributes["POSITION"] = accessors.add(moved)
     if "NORMAL" in attributes:
         # Normals go with the cofactors, which need no inverse.
         rows = blended[:, :3, :3]
         cofactors = np.stack([np.cross(rows[:, (i + 1) % 3], rows[:, (i + 2) % 3]) for i in range(3)], axis=1)
         normals = np.einsum("vij,vj->vi", cofactors, accessors.numbers(attributes["NORMAL"]))
-        attributes["NORMAL"] = accessors.add(_unit(normals).astype("<f4"))
+        attributes["NORMAL"] = accessors.add(_unit(normals))
     for name in sets:
         del attributes[_WEIGHT + name], attributes[_JOINT + name]
     return {**primitive, "attributes": attributes}
@@ -291,7 +244,7 @@ def _instantiate(tree: dict[str, Any], node: dict[str, Any], instances: dict[str
 def _poses(tree: dict[str, Any]) -> list[NDArray[np.float64]]:
     """Matrix of each node to the world; those of nodes that are reached from no root are local."""
     nodes = objects(tree.get("nodes"))
-    local = [_local(node) for node in nodes]
+    local = [local_pose(node) for node in nodes]
     parent = {child: number for number, node in enumerate(nodes) for child in node.get("children", ())}
     found: dict[int, NDArray[np.float64]] = {}
     for number in range(len(nodes)):
@@ -306,16 +259,27 @@ def _poses(tree: dict[str, Any]) -> list[NDArray[np.float64]]:
     return [found[number] for number in range(len(nodes))]
 
 
-def _local(node: dict[str, Any]) -> NDArray[np.float64]:
-    if "matrix" in node:
-        return np.array(node["matrix"], np.float64).reshape(4, 4).T
-    turned = np.array(node.get("rotation", (0.0, 0.0, 0.0, 1.0)), np.float64)
-    # Programs round quaternions, whose length is meant to be 1.
-    x, y, z, w = turned / (np.linalg.norm(turned) or 1.0)
+def local_pose(node: dict[str, Any]) -> NDArray[np.float64]:
+    """Matrix of a node to its parent."""
     matrix = np.eye(4)
-    matrix[:3, :3] = turn_of(w, x, y, z) * np.array(node.get("scale", (1.0, 1.0, 1.0)), np.float64)
-    matrix[:3, 3] = node.get("translation", (0.0, 0.0, 0.0))
-    return matrix
+    if "matrix" in node:
+        matrix = np.array(node["matrix"], np.float64).reshape(4, 4).T
+    if not node.keys() & {"translation", "rotation", "scale"}:
+        return matrix
+    own = np.eye(4)
+    x, y, z, w = turn = np.array(node.get("rotation", (0.0, 0.0, 0.0, 1.0)), np.float64).reshape(4)
+    # Programs round quaternions, whose length is meant to be 1.
+    length = np.dot(np.square(turn[[3, 0, 1, 2]])[None], np.ones(4))[0]
+    if length >= _SHORTEST:
+        x, y, z, w = turn * np.sqrt(2.0 / length)
+        own[:3, :3] = [
+            [1 - y * y - z * z, x * y - z * w, x * z + y * w],
+            [x * y + z * w, 1 - x * x - z * z, y * z - x * w],
+            [x * z - y * w, y * z + x * w, 1 - x * x - y * y],
+        ]
+    own[:3, :3] *= np.array(node.get("scale", (1.0, 1.0, 1.0)), np.float64).reshape(3)
+    own[:3, 3] = np.array(node.get("translation", (0.0, 0.0, 0.0)), np.float64).reshape(3)
+    return matrix @ own
 
 
 def turn_of(w: float, x: float, y: float, z: float) -> NDArray[np.float64]:
