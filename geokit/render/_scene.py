@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core.base.interrupts import signals_held
 from geokit.core.files import atomic_path
 from geokit.core.gradients.differentiable import of_constants
 from geokit.core.interop.types import MeshLike, Rows

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geokit.core.content_limit import content_limit
-from geokit.core.files import extension, refuse_empty, require_file, size_of
+from geokit.core.files import extension, named_damage, refuse_empty, require_file, size_of
 from geokit.core.interop.user_arrays import require_finite_scalar
 from geokit.core.memory.needs import file_size, needs
 from geokit.core.require import require_choice, require_flag, require_path, require_text
