@@ -289,8 +289,12 @@ def _require_kind(path: Path, wanted: str) -> None:
 
 
 def _closest(found: Any) -> dict[str, Any]:
-    names = {"distance": "distance", "closest": "points", "triangle_id": "triangle_id", "barycentric": "barycentric"}
-    return {name: getattr(found, field) for name, field in names.items()}
+    return {
+        "distance": found.distance,
+        "closest": found.points,
+        "triangle_id": found.triangle_id,
+        "barycentric": found.barycentric,
+    }
 
 
 def _summary(count: int, started: float, device: str) -> dict[str, Any]:

@@ -159,6 +159,10 @@ def test_the_page_lists_the_formats():
         assert row in text, f"docs/formats.md must have the line: {row}"
 
 
+def test_the_readme_counts_the_formats():
+    assert f"**Files**: {len(FORMATS)} formats" in (ROOT / "README.md").read_text()
+
+
 def test_the_command_line_page_lists_the_formats():
     text = " ".join((ROOT / "docs/cli.md").read_text().split())
     assert f"Points come from `{listed(extensions('points', 'r'))}`." in text

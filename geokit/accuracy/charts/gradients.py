@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.accuracy.charts.volume_setup import QUICK_CODECS, coded, known_codecs
+from geokit.accuracy.charts.sampling import ORDERS, query_trial, volume_trials
+from geokit.accuracy.charts.volume_setup import QUICK_CODECS, known_codecs
 from geokit.accuracy.reference import mesh as reference
 from geokit.accuracy.trials.model import Chart, Judgement, Trial
-from geokit.accuracy.trials.running import angles, failed, judged, on_host, send, setting_of
+from geokit.accuracy.trials.running import angles, failed, judged, on_host, send
 
 if TYPE_CHECKING:
     from geokit.accuracy.charts.volume_points import VolumePoints
     from geokit.accuracy.charts.volume_setup import Known, NearSurface
     from geokit.mesh.model.triangle_mesh import TriangleMesh
-    from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["gradients_chart", "sdf_gradients_chart"]
 
-ORDERS = (0, 1, 2, 3)
 # Largest distance along an axis between a point and the voxels of its cubic stencil [voxels].
 REACH = 2.0
 CORNERS = 8
@@ -65,7 +64,7 @@ def _sdf_trials(near: NearSurface) -> Iterator[Trial]:
             yield failed("volume.from_mesh", {"voxel_size": voxel_size}, error)
             continue
         for order in ORDERS:
-            yield _gradient_trial({"voxel_size": voxel_size, "order": order}, band, points, judge, near.device)
+            yield query_trial("gradient", {"voxel_size": voxel_size, "order": order}, band, points, judge, near.device)
 
 
 def _directions(points: NDArray[np.float64], closest: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -98,39 +97,14 @@ def gradients_chart(field: VolumePoints) -> Chart:
     lengths of the reference.
     """
     title = "Gradients of a volume, as stored and in fewer bits"
-    return Chart("gradients", title, "relative", "gradients", lambda: _volume_trials(field))
 
+    def judge(answer: Any, order: int) -> Judgement:
+        wanted = field.gradients(order)
+        scale = float(np.sqrt((wanted * wanted).sum(axis=1).mean())) or 1.0
+        off = np.linalg.norm(on_host(answer)[field.rows] - wanted, axis=1)
+        return judged(off / scale, field.points[field.rows])
 
-def _volume_trials(field: VolumePoints) -> Iterator[Trial]:
-    points = send(field.points, field.device)
-    for codec in QUICK_CODECS if field.quick else known_codecs():
-        try:
-            grid = coded(field.volume, codec, field.value_range)
-        except Exception as error:
-            yield failed("volume.quantize", {"codec": codec}, error)
-            continue
-        for order in ORDERS:
+    def trials() -> Iterator[Trial]:
+        return volume_trials("gradient", field, QUICK_CODECS if field.quick else known_codecs(), judge)
 
-            def judge(answer: Any, order: int = order) -> Judgement:
-                wanted = field.gradients(order)
-                scale = float(np.sqrt((wanted * wanted).sum(axis=1).mean())) or 1.0
-                off = np.linalg.norm(on_host(answer)[field.rows] - wanted, axis=1)
-                return judged(off / scale, field.points[field.rows])
-
-            yield _gradient_trial({"order": order, "codec": codec}, grid, points, judge, field.device)
-
-
-def _gradient_trial(
-    parameters: dict[str, Any],
-    grid: SparseVolume,
-    points: Any,
-    judge: Callable[[Any], Judgement],
-    device: Any,
-) -> Trial:
-    order = parameters["order"]
-
-    def run() -> Any:
-        return grid.gradient(points, order=order, device=device)
-
-    method = f"volume.gradient, order {order}"
-    return Trial(method, setting_of(parameters), run, judge, len(points), grid.info.byte_count, parameters)
+    return Chart("gradients", title, "relative", "gradients", trials)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from geokit.accuracy.charts.volume_setup import HALF_WIDTH, QUICK_CODECS, coded, known_codecs
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from geokit.accuracy.charts.volume_setup import NearSurface
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["sampling_chart", "sdf_sampling_chart"]
+__all__ = ["query_trial", "sampling_chart", "sdf_sampling_chart", "volume_trials"]
 
 ORDERS = (0, 1, 2, 3)
 
@@ -51,7 +51,7 @@ def _sdf_trials(near: NearSurface) -> Iterator[Trial]:
                 continue
             for order in ORDERS:
                 parameters = {"voxel_size": voxel_size, "order": order, "codec": codec}
-                yield _sample_trial(parameters, grid, points, judge, near.device)
+                yield query_trial("sample", parameters, grid, points, judge, near.device)
 
 
 def sampling_chart(field: VolumePoints) -> Chart:
@@ -62,37 +62,49 @@ def sampling_chart(field: VolumePoints) -> Chart:
     relative to the range of the values.
     """
     title = "Values of a volume, as stored and in fewer bits"
-    return Chart("sampling", title, field.unit, "samples", lambda: _volume_trials(field))
+
+    def judge(answer: Any, order: int) -> Judgement:
+        off = on_host(answer)[field.rows] - field.sampled(order)
+        return judged(off / field.error_scale, field.points[field.rows])
+
+    return Chart(
+        "sampling", title, field.unit, "samples", lambda: volume_trials("sample", field, known_codecs(), judge)
+    )
 
 
-def _volume_trials(field: VolumePoints) -> Iterator[Trial]:
+def volume_trials(
+    name: str, field: VolumePoints, codecs: Sequence[str], judge: Callable[[Any, int], Judgement]
+) -> Iterator[Trial]:
+    """Trials of a method of volumes at every order, of a volume as stored by each codec."""
     points = send(field.points, field.device)
-    for codec in known_codecs():
+    for codec in codecs:
         try:
             grid = coded(field.volume, codec, field.value_range)
         except Exception as error:
             yield failed("volume.quantize", {"codec": codec}, error)
             continue
         for order in ORDERS:
+            parameters = {"order": order, "codec": codec}
 
-            def judge(answer: Any, order: int = order) -> Judgement:
-                off = on_host(answer)[field.rows] - field.sampled(order)
-                return judged(off / field.error_scale, field.points[field.rows])
+            def judge_order(answer: Any, order: int = order) -> Judgement:
+                return judge(answer, order)
 
-            yield _sample_trial({"order": order, "codec": codec}, grid, points, judge, field.device)
+            yield query_trial(name, parameters, grid, points, judge_order, field.device)
 
 
-def _sample_trial(
+def query_trial(
+    name: str,
     parameters: dict[str, Any],
     grid: SparseVolume,
     points: Any,
     judge: Callable[[Any], Judgement],
     device: Any,
 ) -> Trial:
+    """A trial of a method of volumes: "sample", or "gradient"."""
     order = parameters["order"]
 
     def run() -> Any:
-        return grid.sample(points, order=order, device=device)
+        return getattr(grid, name)(points, order=order, device=device)
 
-    method = f"volume.sample, order {order}"
+    method = f"volume.{name}, order {order}"
     return Trial(method, setting_of(parameters), run, judge, len(points), grid.info.byte_count, parameters)

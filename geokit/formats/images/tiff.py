@@ -139,8 +139,7 @@ class _Damage(logging.Handler):
 
 
 def _ask(path: Path, pages: str, limit: int) -> tuple[Any, list[tuple[str, NDArray[Any]]]]:
-    request = reader_process._request(path, "grids", limit, [pages, *map(str, allowed_folders(None))])
-    return reader_process.ask(path, __name__, request, reader_process.reading_seconds(path), "export it again")
+    return reader_process.read_grids(path, __name__, limit, [pages, *map(str, allowed_folders(None))])
 
 
 def open_images(path: Path, limit: int) -> list[Image]:

@@ -91,9 +91,7 @@ def read_grids(path: Path, names: list[str]) -> tuple[Any, list[tuple[str, NDArr
 
 def open_images(path: Path, limit: int) -> list[Image]:
     """Read all arrays."""
-    request = reader_process._request(path, "grids", limit, [])
-    seconds = reader_process.reading_seconds(path)
-    facts, arrays = reader_process.ask(path, __name__, request, seconds, "export it again")
+    facts, arrays = reader_process.read_grids(path, __name__, limit, [])
     warn_of(path, facts["left_out"])
     extent = np.array(facts["extent"], np.int64)
     points = extent[:, 1] - extent[:, 0] + 1

@@ -25,7 +25,7 @@ from geokit.formats.reader import server as reader_server
 from geokit.formats.reader.warnings import warn_of
 from geokit.formats.reader.worker import HEAD_SIZE
 
-__all__ = ["ask", "read_mesh", "read_points", "reading_seconds"]
+__all__ = ["ask", "read_grids", "read_mesh", "read_points", "reading_seconds"]
 
 # The process has its libraries ready; the slowest reader (ASCII .msh) takes 0.4 s for a megabyte.
 BASE_SECONDS = 15.0
@@ -105,6 +105,22 @@ def read_points(path: Path, module: str, limit: int) -> tuple[NDArray[np.float64
     _, arrays = ask(path, module, request, reading_seconds(path), "get a whole copy")
     (_, points), *data = arrays
     return points, dict(data)
+
+
+def read_grids(path: Path, module: str, limit: int, names: list[str]) -> tuple[Any, Named]:
+    """Run ``read_grids(path, names)`` of a module in a new process.
+
+    Args:
+        path: The file.
+        module: Full name of the module that reads it.
+        limit: Largest size of the content in bytes.
+        names: What the module is to read.
+    Returns:
+        What the module says of the content, and arrays by name, in order.
+    Raises:
+        FileAccessError, FileFormatError, MissingDependencyError, WorkerError: As :func:`read_mesh`.
+    """
+    return ask(path, module, _request(path, "grids", limit, names), reading_seconds(path), "export it again")
 
 
 def reading_seconds(path: Path) -> float:

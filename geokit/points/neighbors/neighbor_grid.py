@@ -782,7 +782,7 @@ class NeighborGrid:
             return self._made_images
 
     def _listed(
-        self, queries: Any, radius: Any, exclude_self: bool, groups: Any = None
+        self, queries: Any, radius: Any, exclude_self: bool, groups: Rows | None = None
     ) -> tuple[VerletLists, float] | None:
         """The lists of a grid with a skin, and the radius, if they answer a search."""
         if self._skin is None or queries is not None:

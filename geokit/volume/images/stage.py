@@ -73,9 +73,7 @@ def _facts(path: Path, limit: int, is_trusted: bool) -> tuple[dict[str, Any], li
         module = importlib.import_module(_READER)
         found: tuple[dict[str, Any], Any] = trusted._read(path, lambda real: module.read_grids(real, folders))
         return found
-    return process.ask(
-        path, _READER, process._request(path, "grids", limit, folders), process.reading_seconds(path), "export it again"
-    )
+    return process.read_grids(path, _READER, limit, folders)
 
 
 @contextlib.contextmanager
