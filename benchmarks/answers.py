@@ -681,7 +681,6 @@ def surface_rows(given: Inputs, name: str) -> Rows:
     yield Row(f"mesh.winding_number.{name}.as_given", ask("winding_number", points, as_given=True))
     yield Row(f"mesh.sign_confidence.{name}", ask("sign_confidence", points))
     yield Row(f"mesh.raycast.{name}", ask("raycast", origins, directions))
-    yield Row(f"mesh.raycast.{name}.quick", ask("raycast", origins, directions, watertight=False))
     yield Row(f"mesh.raycast.{name}.part", ask("raycast", origins, directions, t_min=0.4, max_distance=0.9 * size))
     yield Row(f"mesh.raycast_all.{name}", ask("raycast_all", origins, directions))
     yield Row(f"mesh.raycast_all.{name}.part", ask("raycast_all", origins, directions, t_min=0.4, max_distance=size))

@@ -46,7 +46,6 @@ OVERHEAD = 200e-6
 # Required ratios.
 CLOSEST = (Bar(4.0),)
 WATERTIGHT = (Bar(1.0, ("Open3D",)),)
-QUICK_HIT = (Bar(1.2, ("Open3D",)),)
 SIGNED = (Bar(4.0, ("Open3D",)), Bar(2.5, ("warp",)))
 WINDING = (Bar(6.0, ("libigl",)),)
 # Half the speed of Open3D's build.
@@ -137,8 +136,7 @@ def note_order(report: Report, mesh: TriangleMesh, count: int) -> None:
 def first_hit(report: Report, setting: Setting) -> None:
     mesh, surface, named = prepared(setting.triangles)
     for name, rays in ray_sets(mesh, setting.queries).items():
-        for watertight in (True, False):
-            report.case(hit_case(f"first hit, {name}, {named}", mesh, surface, rays, watertight))
+        report.case(hit_case(f"first hit, {name}, {named}", mesh, surface, rays))
 
 
 def hit_case(
@@ -146,28 +144,26 @@ def hit_case(
     mesh: TriangleMesh,
     surface: Surface,
     rays: tuple[np.ndarray, np.ndarray],
-    watertight: bool,
     few: bool = False,
 ) -> Case:
-    """Watertight hits against all peers, or the fastest few; fast hits against Embree and the peers that are not
-    robust."""
-    robust = "robust" if watertight else "not robust"
+    """First hits against all peers, or the fastest few."""
     asked = [
         Peer("Open3D (Embree, robust)", partial(peers.open3d_first_hit, mesh, *rays)),
-        Peer(f"embreex, {robust}", partial(peers.embreex_first_hit, mesh, *rays, watertight)),
+        Peer("embreex, robust", partial(peers.embreex_first_hit, mesh, *rays, True)),
+        Peer("embreex, not robust", partial(peers.embreex_first_hit, mesh, *rays, False)),
         Peer("warp (leaky)", partial(peers.warp_first_hit, mesh, *rays)),
     ]
-    if watertight and not few:
+    if not few:
         asked.append(Peer("fcpw", partial(peers.fcpw_first_hit, mesh, *rays)))
         asked.append(Peer("point-cloud-utils", partial(peers.pcu_first_hit, mesh, *rays)))
     return Case(
-        f"{task}, watertight" if watertight else f"{task}, watertight=False",
+        task,
         len(rays[0]),
-        partial(surface.raycast, *rays, watertight=watertight),
+        partial(surface.raycast, *rays),
         asked,
         mesh.diagonal,
         kind="hit",
-        bars=WATERTIGHT if watertight else QUICK_HIT,
+        bars=WATERTIGHT,
         read=lambda found: found.t,
         units=height_over_hit(mesh, surface, *rays),
         same=SAME,
@@ -313,7 +309,7 @@ def large(report: Report, setting: Setting) -> None:
     for name, points in point_sets(mesh, count).items():
         report.case(closest_case(f"closest point, {name}, {named}", mesh, surface, points, few=True))
     for name, rays in ray_sets(mesh, setting.queries).items():
-        report.case(hit_case(f"first hit, {name}, {named}", mesh, surface, rays, watertight=True, few=True))
+        report.case(hit_case(f"first hit, {name}, {named}", mesh, surface, rays, few=True))
 
 
 def small_calls(report: Report, setting: Setting) -> None:
@@ -337,7 +333,7 @@ def small_calls(report: Report, setting: Setting) -> None:
         rays, task = (origins[:count], directions[:count]), f"small call, {{}}, {count}, time of a call"
         for case in (
             closest_case(task.format("closest point"), mesh, surface, points[:count], few=True),
-            hit_case(task.format("first hit"), mesh, surface, rays, watertight=True, few=True),
+            hit_case(task.format("first hit"), mesh, surface, rays, few=True),
         ):
             asked = [peer for peer in case.peers if peer.name.startswith(("Open3D", "warp"))]
             report.case(replace(case, peers=asked, bars=(), small=True))

@@ -10,7 +10,9 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
+from geokit import volume
 from geokit._packages import require_package
+from geokit.core.base.query import Query, queries_of
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_choice
 from geokit.errors import InputError
@@ -23,12 +25,16 @@ if TYPE_CHECKING:
 
 __all__ = ["map_queries"]
 
-# Queries with an answer for each row, by what is asked.
-QUERIES: dict[type, tuple[str, ...]] = {
-    Surface: ("closest_point", "signed_distance", "contains", "winding_number", "raycast", "occluded"),
-    SparseVolume: ("sample", "gradient", "raycast"),
-    NeighborGrid: ("count", "knn", "hybrid"),
-}
+# What is asked if no query is named.
+USUAL = {Surface: "closest_point", SparseVolume: "sample", NeighborGrid: "count"}
+
+
+def _queries(thing: Any) -> dict[str, Query]:
+    """The queries of an object with an answer for each row, by name."""
+    # Methods of a volume are verbs of its room.
+    names = [name for name in vars(SparseVolume) if hasattr(volume, name)]
+    home = {name: getattr(volume, name) for name in names} if isinstance(thing, SparseVolume) else type(thing)
+    return {name: query for name, query in queries_of(home).items() if query.has_rows}
 
 
 def _bytes(surface: Any, points: Any, *_: Any, **__: Any) -> int:
@@ -59,10 +65,9 @@ def map_queries(
     Args:
         surface: What is asked: a Surface, a SparseVolume or a NeighborGrid.
         points: Query points, or origins of rays [world], shape (N, 3). Its blocks of rows are the tasks.
-        directions: Directions of rays, shape (N, 3); for raycast and occluded only.
-        query: Name of the method: closest_point (default), signed_distance, contains, winding_number, raycast or
-            occluded of a Surface; sample (default), gradient or raycast of a SparseVolume; count (default), knn or
-            hybrid of a NeighborGrid.
+        directions: Directions of rays, shape (N, 3); for queries of rays only.
+        query: Name of a method that answers each row by itself, as closest_point (default) of a Surface, sample
+            (default) of a SparseVolume and count (default) of a NeighborGrid do.
         **options: Further arguments of that method.
     Returns:
         What the method returns, with dask arrays (N, ...) in place of arrays; its rows have the blocks of ``points``.
@@ -80,15 +85,16 @@ def map_queries(
     require_package("dask")
     array = require_package("dask.array")
     delayed = require_package("dask.delayed").delayed
-    known = next((names for kind, names in QUERIES.items() if isinstance(surface, kind)), None)
-    if known is None:
+    usual = next((name for kind, name in USUAL.items() if isinstance(surface, kind)), None)
+    if usual is None:
         raise InputError(
             f"surface: a {type(surface).__name__} is no Surface, SparseVolume or NeighborGrid; prepare one of them"
         )
-    query = known[0] if query is None else require_choice(query, "query", known)
+    known = _queries(surface)
+    query = usual if query is None else require_choice(query, "query", tuple(known))
     rows = [_rows("points", points, array)]
-    if (directions is not None) != (query in ("raycast", "occluded")):
-        said = "is missing" if directions is None else "is for raycast and occluded only"
+    if (directions is not None) != ("directions" in known[query].rows):
+        said = "is missing" if directions is None else "is for queries of rays only"
         raise InputError(f"directions: {said}; give it with rays and only there")
     if directions is not None:
         rows.append(_rows("directions", directions, array))

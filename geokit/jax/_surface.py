@@ -75,7 +75,7 @@ class Surface(Traced):
         """
         if as_given is not True:
             raise InputError("as_given: which faces flip is not known while jax traces; give True, or use geokit.torch")
-        return mesh.Surface.winding_number(self, points, as_given=True)
+        return mesh.Surface.winding_number(self, points, as_given=True)  # type: ignore[arg-type]
 
     @property
     def bounds(self) -> Any:

@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
-from geokit.core.gradients.differentiable import differentiable, library_of
+from geokit.core.gradients.differentiable import library_of
 from geokit.core.gradients.rules import is_on_tape, is_tracked
 from geokit.core.interop.types import Device, Rows
 from geokit.core.interop.user_arrays import read_vectors
 from geokit.core.memory.needs import needs, rows
+from geokit.core.query.ask import query
 from geokit.core.require import described
 from geokit.errors import InputError
 from geokit.points.search.groups import read_offsets
@@ -246,7 +247,7 @@ class _BetweenGroups(NamedTuple):
     far_b: Any
 
 
-@differentiable("geokit.points.search.gradients:BETWEEN_GROUPS", "a", "b", single=False)
+@query(inputs=("a", "b"), gradient=".search.gradients:BETWEEN_GROUPS", name="a, b")
 def _between_groups(a: Any, b: Any, offsets: Any, device: Any) -> _BetweenGroups:
     import warp as wp
 
@@ -319,7 +320,7 @@ class _Between(NamedTuple):
     index_a: Any
 
 
-@differentiable("geokit.points.search.gradients:BETWEEN", "a", "b", single=False)
+@query(inputs=("a", "b"), gradient=".search.gradients:BETWEEN", name="a, b")
 def _between(a: Any, b: Any, device: Any) -> _Between:
     target = launcher.resolve_device(device)
     batches = [read_vectors(points, name, target) for points, name in ((a, "a"), (b, "b"))]

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from geokit.core import launcher
-from geokit.core.gradients.differentiable import differentiable
 from geokit.core.interop.types import Device, Rows
 from geokit.core.interop.user_arrays import read_numbers, require_finite_scalar
-from geokit.core.memory.needs import needs, rows
+from geokit.core.memory.needs import rows
+from geokit.core.query.ask import query
 from geokit.core.require import require_choice
 from geokit.errors import InputError
 from geokit.points.neighbors.neighbor_grid import NeighborGrid
@@ -27,8 +27,7 @@ KERNELS = {
 }
 
 
-@differentiable("geokit.points.clouds.gradients:DENSITY", "points", "queries", single=False)
-@needs(lambda points, **_: 48 * rows(points))
+@query(inputs=("points", "queries"), gradient=".clouds.gradients:DENSITY", memory=lambda points, **_: 48 * rows(points))
 def density(
     points: Rows,
     *,

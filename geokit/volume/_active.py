@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from geokit.core import launcher
-from geokit.core.blocks.several_devices import over_devices
+from geokit.core.base.query import FIRST_ALONE
 from geokit.core.interop.types import Devices, Rows
 from geokit.core.interop.user_arrays import read_vectors
-from geokit.core.launches.replay import replayed
-from geokit.core.memory.needs import needs, rows
+from geokit.core.query.ask import query
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.sampling.space import query_inputs, require_space
 from geokit.volume.tree.leaves import require_volume
@@ -18,9 +17,7 @@ __all__ = ["active_at"]
 
 
 # A point takes less time than its copy to another device.
-@over_devices(least=None)
-@replayed()
-@needs(lambda volume, points, **_: 5 * rows(points), late=True)
+@query("points", is_replayed=True, is_stepped=True, least_rows=FIRST_ALONE, row_bytes=5)
 def active_at(volume: SparseVolume, points: Rows, *, space: str = "world", device: Devices = None) -> Any:
     """Return whether the voxel nearest to each point is active.
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from geokit.core import launcher
-from geokit.core.blocks.several_devices import over_devices
-from geokit.core.gradients.differentiable import undifferentiable
+from geokit.core.blocks.several_devices import LEAST_ON_GPUS
 from geokit.core.interop.types import Devices, Rows
 from geokit.core.interop.user_arrays import Batch, read_vectors
-from geokit.core.launches.replay import replayed
-from geokit.core.memory.needs import needs, rows
+from geokit.core.query.ask import query
 from geokit.errors import UnsupportedGridError
 from geokit.volume._sample import is_scalar, require_order, view_as
 from geokit.volume.model.sparse_volume import SparseVolume
@@ -37,10 +35,7 @@ class Curvatures(NamedTuple):
     principal: Any
 
 
-@over_devices()
-@undifferentiable
-@replayed()
-@needs(lambda volume, points, **_: 96 * rows(points), late=True)
+@query("points", is_replayed=True, least_rows=LEAST_ON_GPUS, row_bytes=96)
 def hessian(volume: SparseVolume, points: Rows, *, order: int = 3, space: str = "world", device: Devices = None) -> Any:
     """Hessian (matrix of second derivatives) of a volume at each point.
 
@@ -76,10 +71,7 @@ def hessian(volume: SparseVolume, points: Rows, *, order: int = 3, space: str = 
     return batch.to_caller(view_as(second, wp.float64, (len(batch), 3, 3)))
 
 
-@over_devices()
-@undifferentiable
-@replayed()
-@needs(lambda volume, points, **_: 128 * rows(points), late=True)
+@query("points", is_replayed=True, least_rows=LEAST_ON_GPUS, row_bytes=128)
 def curvature(volume: SparseVolume, points: Rows, *, order: int = 3, device: Devices = None) -> Curvatures:
     """Curvatures of the level set through each point.
 

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from geokit.core import launcher
-from geokit.core.blocks.several_devices import over_devices
-from geokit.core.gradients.differentiable import differentiable
+from geokit.core.blocks.several_devices import LEAST_ON_GPUS
 from geokit.core.interop import user_arrays
 from geokit.core.interop.types import Devices, Rows
-from geokit.core.memory.needs import needs, rows
 from geokit.core.memory.pinned import host_flags
+from geokit.core.query.ask import query
 from geokit.core.require import require_one_world
 from geokit.errors import InputError
 from geokit.volume.model.sparse_volume import SparseVolume
@@ -33,9 +32,14 @@ class Transmittance(NamedTuple):
     emission: Any
 
 
-@over_devices(rows=2)
-@differentiable("geokit.volume.rays.gradients:INTEGRATE", "origins", "directions", holders=("emission",))
-@needs(lambda volume, origins, *_, **__: 24 * rows(origins), late=True)
+@query(
+    "origins",
+    "directions",
+    gradient=".rays.gradients:INTEGRATE",
+    holders=("emission",),
+    least_rows=LEAST_ON_GPUS,
+    row_bytes=24,
+)
 def integrate(
     volume: SparseVolume,
     origins: Rows,

@@ -9,14 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from geokit.core import launcher
-from geokit.core.blocks.several_devices import over_devices
-from geokit.core.gradients.differentiable import differentiable
+from geokit.core.blocks.several_devices import LEAST_ON_GPUS
 from geokit.core.interop import user_arrays
 from geokit.core.interop.types import Devices, Rows
-from geokit.core.launches.replay import replayed
-from geokit.core.memory.needs import needs, rows
 from geokit.core.memory.pinned import host_flags
-from geokit.core.poses.placed import placed
+from geokit.core.query.ask import query
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.rays.crossing_blocks import crossing_blocks
 from geokit.volume.rays.ray_field import ray_field, read_rays, refuse_bad_rays
@@ -39,11 +36,14 @@ class VolumeHits(NamedTuple):
     normals: Any
 
 
-@over_devices(rows=2)
-@placed("origins", "directions", directions=("directions",), moved=("points",), turned=("normals",))
-@differentiable("geokit.volume.sampling.gradients:RAYCAST", "origins", "directions")
-@replayed(rows=2)
-@needs(lambda volume, origins, *_, **__: 80 * rows(origins), late=True)
+@query(
+    "origins",
+    "directions",
+    gradient=".sampling.gradients:RAYCAST",
+    is_replayed=True,
+    least_rows=LEAST_ON_GPUS,
+    row_bytes=80,
+)
 def raycast(
     volume: SparseVolume,
     origins: Rows,

@@ -8,13 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from geokit.core import launcher
-from geokit.core.blocks.several_devices import over_devices
-from geokit.core.gradients.differentiable import differentiable
+from geokit.core.base.query import FIRST_ALONE
 from geokit.core.interop.types import Devices, Rows
 from geokit.core.interop.user_arrays import read_vectors
-from geokit.core.launches.replay import replayed
-from geokit.core.memory.needs import needs, rows
-from geokit.core.poses.placed import placed
+from geokit.core.query.ask import query
 from geokit.core.require import described, whole_number
 from geokit.errors import InputError, UnsupportedGridError
 from geokit.volume.model.sparse_volume import SparseVolume
@@ -44,11 +41,14 @@ def _require_placeable(volume: Any, *, space: str = "world", channel: int | str 
 
 
 # Points take less time than their copies to another device, at any order.
-@over_devices(least=None)
-@placed("points", check=_require_placeable)
-@differentiable("geokit.volume.sampling.gradients:SAMPLE", "points")
-@replayed()
-@needs(lambda volume, points, **_: 16 * rows(points), late=True)
+@query(
+    "points",
+    places=_require_placeable,
+    gradient=".sampling.gradients:SAMPLE",
+    is_replayed=True,
+    least_rows=FIRST_ALONE,
+    row_bytes=16,
+)
 def sample(
     volume: SparseVolume,
     points: Rows,
@@ -131,11 +131,15 @@ def sample(
 
 
 # Points take less time than their copies to another device, at any order.
-@over_devices(least=None)
-@placed("points", turned=("gradient",), check=_require_placeable)
-@differentiable("geokit.volume.sampling.gradients:GRADIENT", "points")
-@replayed()
-@needs(lambda volume, points, **_: 32 * rows(points), late=True)
+@query(
+    "points",
+    is_turned=True,
+    places=_require_placeable,
+    gradient=".sampling.gradients:GRADIENT",
+    is_replayed=True,
+    least_rows=FIRST_ALONE,
+    row_bytes=32,
+)
 def gradient(
     volume: SparseVolume,
     points: Rows,

@@ -10,7 +10,7 @@ import pytest
 
 import geokit as gk
 from geokit.distributed import _map_queries, map_queries
-from geokit.distributed._map_queries import _Shared
+from geokit.distributed._map_queries import _queries, _Shared
 from geokit.errors import InputError
 from tests.support.dask_cluster import cluster_client
 
@@ -28,6 +28,7 @@ def things() -> dict[str, Any]:
     return {
         "surface": gk.mesh.Surface(BODY, device="cpu"),
         "volume": gk.volume.from_mesh(BODY, 0.1, device="cpu"),
+        "fog": gk.volume.from_dense(np.ones((9, 9, 9)), voxel_size=0.3, grid_class="fog volume"),
         "grid": gk.points.NeighborGrid(POINTS, 0.3, device="cpu"),
     }
 
@@ -40,26 +41,43 @@ def _same(found: Any, expected: Any) -> None:
         assert one.tobytes() == other.tobytes()
 
 
+RAYS = ("raycast", "crossing_count", "occluded", "integrate")
+CASES = [
+    ("surface", None, {}),
+    ("surface", "closest_point", {"max_distance": 0.5}),
+    ("surface", "furthest_point", {}),
+    ("surface", "signed_distance", {}),
+    ("surface", "contains", {}),
+    ("surface", "winding_number", {}),
+    ("surface", "sign_confidence", {}),
+    ("surface", "raycast", {}),
+    ("surface", "crossing_count", {}),
+    ("surface", "occluded", {"max_distance": 2.0}),
+    ("volume", None, {}),
+    ("volume", "sample", {"order": 3}),
+    ("volume", "gradient", {"order": 2}),
+    ("volume", "hessian", {}),
+    ("volume", "curvature", {}),
+    ("volume", "active_at", {}),
+    ("volume", "raycast", {}),
+    ("fog", "integrate", {"extinction": 0.1}),
+    ("grid", None, {}),
+    ("grid", "count", {"radius": 0.2}),
+    ("grid", "knn", {"k": 4}),
+    ("grid", "hybrid", {"k": 4}),
+]
+
+
+def test_each_query_with_an_answer_for_each_row_has_a_case(things) -> None:
+    tried = {thing: {name for owner, name, _ in CASES if owner == thing and name} for thing in things}
+    tried["volume"] |= tried.pop("fog")
+    assert tried == {thing: set(_queries(things[thing])) for thing in tried}
+
+
 @pytest.mark.parametrize("kind", [np.float64, np.float32])
-@pytest.mark.parametrize(
-    ("thing", "query", "options"),
-    [
-        ("surface", None, {}),
-        ("surface", "closest_point", {"max_distance": 0.5}),
-        ("surface", "signed_distance", {}),
-        ("surface", "contains", {}),
-        ("surface", "winding_number", {}),
-        ("surface", "raycast", {}),
-        ("surface", "occluded", {"max_distance": 2.0}),
-        ("volume", None, {}),
-        ("volume", "gradient", {"order": 2}),
-        ("volume", "raycast", {}),
-        ("grid", None, {}),
-        ("grid", "knn", {"k": 4}),
-    ],
-)
+@pytest.mark.parametrize(("thing", "query", "options"), CASES)
 def test_the_bits_of_the_local_call(things, thing: str, query: str | None, options: dict[str, Any], kind) -> None:
-    rows = [POINTS.astype(kind)] + ([TOWARDS.astype(kind)] if query in ("raycast", "occluded") else [])
+    rows = [POINTS.astype(kind)] + ([TOWARDS.astype(kind)] if query in RAYS else [])
     method = query or {"surface": "closest_point", "volume": "sample", "grid": "count"}[thing]
     expected = getattr(things[thing], method)(*rows, **options)
     blocks = [array.from_array(part, chunks=chunks) for part, chunks in zip(rows, [(250, 2), (400, 3)], strict=False)]
@@ -107,7 +125,7 @@ def test_what_cannot_be_asked_is_named(things) -> None:
         ((things["surface"], points.astype(int)), {}, "points: .*type int64"),
         ((things["surface"], points), {"query": "raycast_all"}, "query: 'raycast_all'.*closest_point"),
         ((things["surface"], points), {"query": "raycast"}, "directions: is missing"),
-        ((things["surface"], points, points), {}, "directions: is for raycast"),
+        ((things["surface"], points, points), {}, "directions: is for queries of rays"),
         ((things["surface"], points, points[:10]), {"query": "raycast"}, r"directions: has shape \(10, 3\)"),
         ((things["surface"], points), {"radius": 3}, "options: closest_point does not take them.*radius"),
         ((things["surface"], points), {"max_distance": -1}, "max_distance"),

@@ -6,15 +6,11 @@ on a second object over the ``__dict__`` of its start, so that it needs no lock.
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable
-from typing import Any, Concatenate, ParamSpec, TypeVar
+from typing import Any, TypeVar
 
-__all__ = ["on_snapshot", "snapshot"]
+__all__ = ["snapshot"]
 
 _Surface = TypeVar("_Surface")
-_Arguments = ParamSpec("_Arguments")
-_Answer = TypeVar("_Answer")
 
 
 def snapshot(surface: _Surface) -> _Surface:
@@ -22,15 +18,3 @@ def snapshot(surface: _Surface) -> _Surface:
     view: Any = object.__new__(type(surface))
     view.__dict__ = surface.__dict__
     return view
-
-
-def on_snapshot(
-    query: Callable[Concatenate[Any, _Arguments], _Answer],
-) -> Callable[Concatenate[Any, _Arguments], _Answer]:
-    """Make a method run on a snapshot of its object."""
-
-    @functools.wraps(query)
-    def run(surface: Any, /, *args: _Arguments.args, **kwargs: _Arguments.kwargs) -> _Answer:
-        return query(snapshot(surface), *args, **kwargs)
-
-    return run

@@ -11,12 +11,12 @@ import functools
 import inspect
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from geokit.core import launcher
+from geokit.core.base.query import FIRST_ALONE, Query
 from geokit.core.base.snapshot import snapshot
 from geokit.core.blocks.shared_rows import Question
 from geokit.core.gradients.rules import held_by, is_tracked
@@ -25,14 +25,13 @@ from geokit.errors import InputError
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["OnDevices", "devices_of", "over_devices", "replicas", "shares", "shows_arguments"]
+__all__ = ["LEAST_ON_GPUS", "OnDevices", "answer", "are_asked", "devices_of", "replicas", "shows_arguments"]
 
 # Fewest rows for each device; the first device alone answers fewer. Rows on a GPU are answered sooner, and copies
 # between GPUs take a millisecond or two, so there have to be more.
 LEAST_ROWS = 1 << 15
-LEAST_ROWS_ON_GPUS = 1 << 20
+LEAST_ON_GPUS = 1 << 20
 
-_Arguments = ParamSpec("_Arguments")
 _Answer = TypeVar("_Answer")
 _Class = TypeVar("_Class", bound=type)
 
@@ -109,100 +108,41 @@ def shows_arguments(cls: _Class) -> _Class:
     return cls
 
 
-def shares(least: Mapping[str, int] = MappingProxyType({}), /, **queries: int) -> Callable[[_Class], _Class]:
-    """Decorate a subclass of :class:`OnDevices`: give it these queries of its other base.
-
-    Args:
-        least: For some of them the fewest rows for each device, where the rows are on a GPU.
-        queries: How many of the arguments of each are rows, (N, 3).
-    """
-
-    def decorate(cls: _Class) -> _Class:
-        for name, rows in queries.items():
-            setattr(cls, name, _shared(getattr(cls, name), rows, least.get(name, LEAST_ROWS_ON_GPUS)))
-        return cls
-
-    return decorate
+def are_asked(given: Sequence[Any], options: Mapping[str, Any]) -> bool:
+    """Whether a call is one of several devices: of its object, or of its option ``device``."""
+    return (len(given) > 0 and isinstance(given[0], OnDevices)) or launcher.is_several(options.get("device"))
 
 
-def _shared(query: Callable[..., Any], rows: int, least: int) -> Callable[..., Any]:
-    names = _row_names(query, rows)
-
-    @functools.wraps(query)
-    def run(owner: Any, *given: Any, **options: Any) -> Any:
-        queries = [functools.partial(query, part) for part in owner._parts]
+def answer(query: Query, given: tuple[Any, ...], options: dict[str, Any]) -> Any:
+    """The answer of a call of several devices, which is joined from those of each, in the order of the rows."""
+    owner, options = query.bind(given, options)[query.positional[0]], dict(options)
+    if isinstance(owner, OnDevices):
         devices = [part._device for part in owner._parts]
-        with _current_kept(devices):
-            if held_by(owner._parts[0]) or options.get("groups") is not None:
-                return queries[0](*given, **options)
-            values = [*given, *(options.pop(name) for name in names[len(given) :] if name in options)]
-            return _answer(queries, devices, rows, least, values, options)
-
-    return run
-
-
-def _row_names(query: Callable[..., Any], rows: int) -> list[str]:
-    return list(inspect.signature(query).parameters)[1 : rows + 1]
-
-
-def over_devices(
-    rows: int = 1, *, least: int | None = LEAST_ROWS_ON_GPUS
-) -> Callable[[Callable[_Arguments, _Answer]], Callable[_Arguments, _Answer]]:
-    """Decorate a query whose option ``device`` may be several devices.
-
-    Args:
-        rows: Number of the arguments after the first that are rows, (N, 3).
-        least: Fewest rows for each device, where the rows are on a GPU; None where answers never take longer than the
-            copies between devices, so that the first device alone answers.
-    """
-
-    def decorate(query: Callable[_Arguments, _Answer]) -> Callable[_Arguments, _Answer]:
-        names = _row_names(query, rows)
-
-        @functools.wraps(query)
-        def run(*given: _Arguments.args, **options: _Arguments.kwargs) -> _Answer:
-            if not launcher.is_several(options.get("device")):
-                return query(*given, **options)
-            answer: _Answer = on_each(*given, **options)
-            return answer
-
-        def on_each(volume: Any, *given: Any, device: Any, **options: Any) -> Any:
-            devices: Any = devices_of(device)
-            queries: list[Any] = [functools.partial(query, volume, device=one) for one in devices]
-            with _current_kept(devices):
-                if held_by(volume) or least is None:
-                    return queries[0](*given, **options)
-                values = [*given, *(options.pop(name) for name in names[len(given) :] if name in options)]
-                return _answer(queries, devices, rows, least, values, options)
-
-        return run
-
-    return decorate
-
-
-def _answer(
-    queries: Sequence[Callable[..., Any]],
-    devices: Sequence["wp.Device"],
-    rows: int,
-    least: int,
-    given: Sequence[Any],
-    options: dict[str, Any],
-) -> Any:
-    """The answer to rows that are arguments of one kind: arrays of NumPy or of warp, or tensors of torch."""
-    values, total = given[:rows], _rows_of(given, rows)
-    if any(held_by(value) or is_tracked(value) for value in options.values()):
-        total = 0  # a graph stays on its device
-    on_gpu = total > 0 and _is_on_gpu(values[0])
-    count = min(len(queries), total // (least if on_gpu else LEAST_ROWS))
-    quick = least > LEAST_ROWS_ON_GPUS
-    asked = Question(queries[:count], devices[:count], values, given[rows:], options, is_quick=quick)
-    if count < 2 or (on_gpu and not asked.reaches_all()):
-        return queries[0](*given, **options)
-    try:
-        return asked.of_host_rows() if isinstance(values[0], np.ndarray) else asked.of_arrays()
-    except InputError:
-        # Of a row, whose number is that in its part: asked again it is named as the caller counts.
-        return queries[0](*given, **options)
+        queries = [functools.partial(query.call, part) for part in owner._parts]
+        owner = owner._parts[0]
+    else:
+        devices = devices_of(options.pop("device")) or []
+        queries = [functools.partial(query.call, owner, device=one) for one in devices]
+    values = list(given[1:])
+    values += [options.pop(name) for name in query.rows[len(values) :] if name in options]
+    options.pop(query.positional[0], None)
+    rows, least = len(query.rows), query.least_rows or FIRST_ALONE
+    # A graph stays on its device, and groups are not cut.
+    whole = held_by(owner) or any(held_by(value) or is_tracked(value) for value in options.values())
+    whole = whole or options.get("groups") is not None
+    with _current_kept(devices):
+        total = 0 if whole or least == FIRST_ALONE else _rows_of(values, rows)
+        on_gpu = total > 0 and _is_on_gpu(values[0])
+        count = min(len(queries), total // (least if on_gpu else LEAST_ROWS))
+        quick = least > LEAST_ON_GPUS
+        asked = Question(queries[:count], devices[:count], values[:rows], values[rows:], options, is_quick=quick)
+        if count < 2 or (on_gpu and not asked.reaches_all()):
+            return queries[0](*values, **options)
+        try:
+            return asked.of_host_rows() if isinstance(values[0], np.ndarray) else asked.of_arrays()
+        except InputError:
+            # Of a row, whose number is that in its part: asked again it is named as the caller counts.
+            return queries[0](*values, **options)
 
 
 def _rows_of(given: Sequence[Any], rows: int) -> int:

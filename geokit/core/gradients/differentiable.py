@@ -1,4 +1,4 @@
-"""Queries that take tensors with gradients and give tensors that carry them."""
+"""Answers that carry gradients: of tensors of torch that require them, tracers of jax and arrays on a tape of warp."""
 
 from __future__ import annotations
 
@@ -7,84 +7,61 @@ import sys
 from collections.abc import Callable
 from typing import Any, TypeVar
 
+from geokit.core.base.query import Query
 from geokit.core.gradients.rules import (
     PLAIN,
     Asked,
     Call,
-    Entry,
+    held_by,
     is_on_tape,
+    is_torch_tensor,
     is_tracked,
     refuse_gradients,
     require_constant,
+    shaped,
     untracked,
 )
+from geokit.core.interop.arrays import broadcast_rows, flat_rows, lead_of, widened
+from geokit.core.interop.objects import points_of
 from geokit.core.launches import warp_private
+from geokit.core.require import read_array
+from geokit.errors import InputError
 
-__all__ = ["differentiable", "library_of", "of_constants", "undifferentiable"]
+__all__ = ["library_of", "of_constants", "with_gradients"]
 
-_Query = TypeVar("_Query", bound=Callable[..., Any])
+_Operation = TypeVar("_Operation", bound=Callable[..., Any])
 
 
-def differentiable(
-    rule: str, *inputs: str, single: bool = True, holders: tuple[str, ...] = ()
-) -> Callable[[_Query], _Query]:
-    """Make a query accept tensors that require gradients, and give tensors that carry them.
+def with_gradients(query: Query, given: tuple[Any, ...], options: dict[str, Any]) -> Any:
+    """The answer of a call, with tensors that carry gradients; None for a call without gradients.
 
-    Args:
-        rule: Where the rule stands, as "package.module:NAME".
-        inputs: Parameters that may be such tensors. Tensors that the first argument holds (:func:`hold`) count too.
-        single: Whether rows of any leading axes are taken, (3,) or (B, N, 3), and answered with them.
-        holders: Keywords whose objects may hold such tensors too; rules know them as "keyword.name".
+    Raises:
+        InputError: An argument is a tensor with gradients, and the answer carries none for it.
     """
+    torch = sys.modules.get("torch")
+    if torch is None:
+        # Without torch, jax and a tape nothing can have a gradient; this costs a quarter of a microsecond.
+        if "jax" not in sys.modules and warp_private.tape_in_progress() is None:
+            return None
+    elif torch.compiler.is_compiling():
+        from geokit.core.gradients.torch_operator import traced
 
-    def decorate(query: _Query) -> _Query:
-        entry = Entry(query, rule, inputs, single, holders)
-
-        @functools.wraps(query)
-        def run(*args: Any, **kwargs: Any) -> Any:
-            torch = sys.modules.get("torch")
-            if torch is None:
-                # Without torch, jax and a tape nothing can have a gradient; this costs a quarter of a microsecond.
-                if "jax" not in sys.modules and warp_private.tape_in_progress() is None:
-                    return query(*args, **kwargs)
-            elif torch.compiler.is_compiling():
-                from geokit.core.gradients.torch_operator import traced
-
-                return traced(entry, args, kwargs)
-            held = entry.held(args, kwargs)
-            if not held and not any(map(is_tracked, args)) and not any(map(is_tracked, kwargs.values())):
-                return query(*args, **kwargs)
-            arguments = entry.bind(args, kwargs)
-            for name in entry.others:
-                if type(arguments[name]) not in PLAIN and is_tracked(arguments[name]):
-                    raise refuse_gradients(name, arguments[name])
-            lead = entry.flatten(arguments, held)
-            # All inputs are tensors then, also those given as NumPy: so is the answer.
-            tensors = {name: arguments[name] for name in inputs if arguments[name] is not None} | held
-            answer = _attach(Call(entry, tuple(tensors), Asked(tensors, arguments)))
-            return answer if lead is None else entry.shaped(answer, lead)
-
-        return run  # type: ignore[return-value]
-
-    return decorate
+        return traced(query, given, options)
+    held = _held(query, given, options)
+    if not held and not any(map(is_tracked, given)) and not any(map(is_tracked, options.values())):
+        return None
+    arguments = query.bind(given, options)
+    for name in query.others:
+        if type(arguments[name]) not in PLAIN and is_tracked(arguments[name]):
+            raise refuse_gradients(name, arguments[name])
+    lead = _flattened(query, arguments, held)
+    # All inputs are tensors then, also those given as NumPy: so is the answer.
+    tensors = {name: arguments[name] for name in query.inputs if arguments[name] is not None} | held
+    answer = _attach(Call(query, tuple(tensors), Asked(tensors, arguments)))
+    return answer if lead is None else shaped(query, answer, lead)
 
 
-def undifferentiable(query: _Query) -> _Query:
-    """Decorate a query of an object whose numbers have no gradient by the arrays of a tape that the object holds.
-
-    While the tape records the query is refused, where the tape would get zeros.
-    """
-
-    @functools.wraps(query)
-    def run(*args: Any, **kwargs: Any) -> Any:
-        for holder in args[:1] or kwargs.values():
-            require_constant(holder, query.__name__)
-        return query(*args, **kwargs)
-
-    return run  # type: ignore[return-value]
-
-
-def of_constants(operation: _Query) -> _Query:
+def of_constants(operation: _Operation) -> _Operation:
     """Decorate an operation without gradients: it gets objects without the tensors that they hold.
 
     Queries of an object that holds tensors answer with tensors that carry gradients, also where the operation asks.
@@ -126,3 +103,43 @@ def _attach(call: Call) -> Any:
     from geokit.core.gradients import with_jax
 
     return with_jax.attach(call)
+
+
+def _held(query: Query, given: tuple[Any, ...], options: dict[str, Any]) -> dict[str, Any]:
+    """The tensors that the objects of a call hold, by name; "keyword.name" for those of other holders."""
+    found = held_by(given[0] if given else options.get(query.parameters[0][0]))
+    for holder in query.holders:
+        found = {**found, **{f"{holder}.{key}": value for key, value in held_by(options.get(holder)).items()}}
+    return found
+
+
+def _flattened(query: Query, arguments: dict[str, Any], held: dict[str, Any]) -> tuple[int, ...] | None:
+    """Make tables of inputs that are objects with points, or have other leading axes than one.
+
+    Returns:
+        The leading axes of the answer; None for those of a table.
+    Raises:
+        InputError: It is one point, and a tape of warp records the call: warp has no arrays of no dimension.
+    """
+    given = {
+        name: arguments[name] if is_torch_tensor(arguments[name]) else points_of(arguments[name], name)
+        for name in query.inputs
+        if arguments[name] is not None
+    }
+    arguments.update(given)
+    are_rays = query.inputs == ("origins", "directions")
+    if not given or not (query.is_single or are_rays):
+        return None
+    rows = {name: value if hasattr(value, "ndim") else read_array(value, name) for name, value in given.items()}
+    if any(is_on_tape(value) and lead_of(value) == () for value in rows.values()) or (
+        all(lead_of(value) == () for value in rows.values()) and any(map(is_on_tape, held.values()))
+    ):
+        raise InputError(
+            f"{', '.join(rows)}: a single row has no gradient on a wp.Tape; give it as a table of shape (1, 3)"
+        )
+    rows = {name: widened(value) for name, value in (broadcast_rows(rows) if are_rays else rows).items()}
+    arguments.update(rows)
+    lead = None
+    for name, value in rows.items() if query.is_single else ():
+        arguments[name], lead = flat_rows(value)
+    return lead

@@ -35,7 +35,7 @@ def attach(call: Call) -> Any:
     like = next(value for value in tensors.values() if isinstance(value, wp.array))
     arrays = {name: _array(tensors[name], name, like) for name in call.names}
     _refuse_capture(list(arrays.values()), ", ".join(call.names))
-    rule = call.entry.rule()
+    rule = call.query.rule()
     # Objects as they are now: they may be updated before the backward pass.
     others = {name: _kept(value) for name, value in call.asked.arguments.items() if name not in arrays}
     if rule.check is not None:
@@ -51,7 +51,7 @@ def attach(call: Call) -> Any:
 
     def back(slopes: list[Any]) -> list[NDArray[Any]]:
         tensors = {name: _rows(array) for name, array in arrays.items()}
-        inputs = {name: part for name, part in tensors.items() if name in call.entry.inputs}
+        inputs = {name: part for name, part in tensors.items() if name in call.query.inputs}
         answer = [out.numpy() for out in outputs]
         found = pulled(rule, Asked(tensors, {**others, **inputs}), answer, slopes, list(wanted))
         return [found[name] for name in wanted]

@@ -8,18 +8,16 @@ followed through NumPy.
 
 from __future__ import annotations
 
-import importlib
-import inspect
 import sys
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
-from geokit.core.interop.arrays import broadcast_rows, detached, flat_rows, lead_of, led, widened
-from geokit.core.interop.objects import points_of
+from geokit.core.base.query import Query
+from geokit.core.interop.arrays import detached, led
 from geokit.core.launches import warp_private
-from geokit.core.require import read_array, refuse_recording
+from geokit.core.require import refuse_recording
 from geokit.errors import InputError
 
 __all__ = [
@@ -27,15 +25,17 @@ __all__ = [
     "Asked",
     "Call",
     "Deferred",
-    "Entry",
     "Rule",
     "held_by",
     "hold",
     "is_on_tape",
+    "is_torch_tensor",
     "is_tracked",
     "is_warp_array",
+    "owner_of",
     "refuse_gradients",
     "require_constant",
+    "shaped",
     "split",
     "untracked",
 ]
@@ -105,130 +105,16 @@ class Asked(NamedTuple):
     prepared: Any = None
 
 
-class Entry:
-    """A query that may carry gradients.
-
-    Attributes:
-        query: The query, for arguments without gradients.
-        rule: Gives its rule.
-        inputs: Parameters that may be tensors with gradients.
-        single: Whether rows of any leading axes are taken, also one point of shape (3,).
-        holders: Parameters besides the first whose objects may hold tensors.
-        parameters: Names and defaults of all parameters.
-        others: Names of those that are no inputs.
-        kind: Container of the outputs: a NamedTuple's class, or None for a single array.
-        address: Of this object.
-    """
-
-    def __init__(
-        self, query: Callable[..., Any], rule: str, inputs: tuple[str, ...], single: bool, holders: tuple[str, ...] = ()
-    ) -> None:
-        signature = inspect.signature(query)
-        self.query, self.inputs, self._rule, self.single, self.holders = query, inputs, rule, single, holders
-        self._signature = signature
-        self._found: Rule | None = None
-        self.parameters = tuple((name, parameter.default) for name, parameter in signature.parameters.items())
-        self.others = tuple(name for name, _ in self.parameters if name not in inputs)
-        self._defaults = dict(self.parameters)
-        self._positional = tuple(
-            name for name, parameter in signature.parameters.items() if parameter.kind is not parameter.KEYWORD_ONLY
-        )
-        # Results are defined above the queries that return them.
-        kind = inspect.unwrap(query).__globals__.get(str(signature.return_annotation))
-        self.kind: Any = kind if hasattr(kind, "_fields") else None
-        self.address = id(self)
-
-    def rule(self) -> Rule:
-        """The query's rule; its module is imported by the first call with gradients."""
-        if self._found is not None:
-            return self._found
-        module, _, name = self._rule.partition(":")
-        found: Rule = getattr(importlib.import_module(module), name)
-        self._found = found
-        return found
-
-    def run(self, arguments: dict[str, Any]) -> Any:
-        """The answer for arguments without gradients."""
-        # Rows go by position: small calls are replayed then.
-        rest = {name: value for name, value in arguments.items() if name not in self._positional}
-        return self.query(*(arguments[name] for name in self._positional), **rest)
-
-    def held(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> dict[str, Any]:
-        """The tensors that the objects of a call hold, by name; "keyword.name" for those of other holders."""
-        found = held_by(args[0] if args else kwargs.get(self.parameters[0][0]))
-        for holder in self.holders:
-            found = {**found, **{f"{holder}.{key}": value for key, value in held_by(kwargs.get(holder)).items()}}
-        return found
-
-    def owner(self, name: str) -> tuple[str, str]:
-        """The parameter whose object holds a tensor, and the tensor's name there."""
-        holder, _, key = name.rpartition(".")
-        return holder or self.parameters[0][0], key
-
-    def flatten(self, arguments: dict[str, Any], held: dict[str, Any]) -> tuple[int, ...] | None:
-        """Make tables of inputs that are objects with points, or have other leading axes than one.
-
-        Returns:
-            The leading axes of the answer; None for those of a table.
-        Raises:
-            InputError: It is one point, and a tape of warp records the call: warp has no arrays of no dimension.
-        """
-        given = {
-            name: arguments[name] if _is_torch_tensor(arguments[name]) else points_of(arguments[name], name)
-            for name in self.inputs
-            if arguments[name] is not None
-        }
-        arguments.update(given)
-        are_rays = self.inputs == ("origins", "directions")
-        if not given or not (self.single or are_rays):
-            return None
-        rows = {name: value if hasattr(value, "ndim") else read_array(value, name) for name, value in given.items()}
-        if any(is_on_tape(value) and lead_of(value) == () for value in rows.values()) or (
-            all(lead_of(value) == () for value in rows.values()) and any(map(is_on_tape, held.values()))
-        ):
-            raise InputError(
-                f"{', '.join(rows)}: a single row has no gradient on a wp.Tape; give it as a table of shape (1, 3)"
-            )
-        rows = {name: widened(value) for name, value in (broadcast_rows(rows) if are_rays else rows).items()}
-        arguments.update(rows)
-        lead = None
-        for name, value in rows.items() if self.single else ():
-            arguments[name], lead = flat_rows(value)
-        return lead
-
-    def shaped(self, answer: Any, lead: tuple[int, ...]) -> Any:
-        """The answer with other leading axes, from that for a table of the rows; lists stay those of the table."""
-        if "offsets" in getattr(self.kind, "_fields", ()):
-            return answer
-        return led(answer, lead) if self.kind is None else self.kind(*(led(out, lead) for out in answer))
-
-    def bind(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> dict[str, Any]:
-        """All arguments of a call by name.
-
-        Raises:
-            TypeError: The call does not fit the query.
-        """
-        given = dict(zip(self._positional, args, strict=False))
-        found = {**self._defaults, **given, **kwargs}
-        fits = len(given) == len(args) and len(found) == len(self._defaults) and given.keys().isdisjoint(kwargs)
-        if fits and not any(value is inspect.Parameter.empty for value in found.values()):
-            return found
-        # What does not fit is named there, which takes ten times as long.
-        bound = self._signature.bind(*args, **kwargs)
-        bound.apply_defaults()
-        return dict(bound.arguments)
-
-
 class Call(NamedTuple):
     """A call of a query that is to carry gradients.
 
     Attributes:
-        entry: The query.
+        query: The query.
         names: Names of the tensors.
         asked: The call; its tensors are those with gradients.
     """
 
-    entry: Entry
+    query: Query
     names: tuple[str, ...]
     asked: Asked
 
@@ -236,12 +122,25 @@ class Call(NamedTuple):
         """The answer for tensors without gradients, given in the order of ``names``."""
         given = dict(zip(self.names, plain, strict=True))
         # Tensors that objects hold are no arguments.
-        return self.entry.run(
+        return self.query.run(
             {
                 name: given[name] if name in given else value if type(value) in PLAIN else untracked(value)
                 for name, value in self.asked.arguments.items()
             }
         )
+
+
+def owner_of(query: Query, name: str) -> tuple[str, str]:
+    """The parameter whose object holds a tensor, and the tensor's name there."""
+    holder, _, key = name.rpartition(".")
+    return holder or query.parameters[0][0], key
+
+
+def shaped(query: Query, answer: Any, lead: tuple[int, ...]) -> Any:
+    """The answer with other leading axes, from that for a table of the rows; lists stay those of the table."""
+    if "offsets" in getattr(query.kind, "_fields", ()):
+        return answer
+    return led(answer, lead) if query.kind is None else query.kind(*(led(out, lead) for out in answer))
 
 
 def hold(holder: Any, **tensors: Any) -> None:
@@ -280,7 +179,7 @@ def split(values: Any) -> tuple[Any, Any]:
         return values, None
     if is_warp_array(values):
         return detached(values), values
-    return (values.detach(), values) if _is_torch_tensor(values) else (values, None)
+    return (values.detach(), values) if is_torch_tensor(values) else (values, None)
 
 
 def held_by(holder: Any) -> dict[str, Any]:
@@ -330,7 +229,7 @@ def require_constant(holder: Any, what: str) -> None:
 def is_tracked(value: Any) -> bool:
     """Whether a value is a tensor in a graph, a tracer, or an array whose gradient a tape of warp is recording."""
     if getattr(value, "requires_grad", False) is True:
-        return _is_torch_tensor(value) or is_on_tape(value)
+        return is_torch_tensor(value) or is_on_tape(value)
     jax = sys.modules.get("jax")
     return jax is not None and isinstance(value, jax.core.Tracer)
 
@@ -342,7 +241,7 @@ def is_on_tape(value: Any) -> bool:
     return warp_private.tape_in_progress() is not None
 
 
-def _is_torch_tensor(value: Any) -> bool:
+def is_torch_tensor(value: Any) -> bool:
     torch = sys.modules.get("torch")
     return torch is not None and isinstance(value, torch.Tensor)
 

@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 
 import torch
 
-from geokit.core.gradients.rules import Asked, Entry, untracked
+from geokit.core.base.query import Query
+from geokit.core.gradients.rules import Asked, shaped, untracked
 from geokit.core.gradients.with_torch import by_kernel, pulled
 from geokit.errors import InputError
 
@@ -22,7 +23,7 @@ __all__ = ["traced"]
 class _Known(NamedTuple):
     """A query and its arguments that are not tensors; objects are held by weak references."""
 
-    entry: Entry
+    query: Query
     names: tuple[str, ...]
     others: dict[str, Any]
 
@@ -36,11 +37,11 @@ _known: list[_Known] = []
 
 
 @torch._dynamo.assume_constant_result
-def _number(entry: int, names: tuple[str, ...], holders: tuple[Any, ...], options: tuple[Any, ...]) -> int:
+def _number(query: int, names: tuple[str, ...], holders: tuple[Any, ...], options: tuple[Any, ...]) -> int:
     """The number of a query and its objects, which are passed as addresses; the caller keeps them alive."""
     others = dict(options)
     others.update({name: weakref.ref(_at(address)) for name, address in holders})
-    _known.append(_Known(_at(entry), names, others))
+    _known.append(_Known(_at(query), names, others))
     return len(_known) - 1
 
 
@@ -48,21 +49,21 @@ def _at(address: int) -> Any:
     return ctypes.cast(address, ctypes.py_object).value
 
 
-def traced(entry: Entry, args: Any, kwargs: Any) -> Any:
+def traced(query: Query, args: Any, kwargs: Any) -> Any:
     """Answer a call while torch.compile traces it."""
     names: tuple[str, ...] = ()
     holders: tuple[Any, ...] = ()
     options: tuple[Any, ...] = ()
     tensors: list[Any] = []
     lead: tuple[int, ...] | None = None
-    for place, (name, default) in enumerate(entry.parameters):
+    for place, (name, default) in enumerate(query.parameters):
         value = args[place] if place < len(args) else kwargs.get(name, default)
         if isinstance(value, torch.Tensor):
-            if name in entry.inputs and value.dtype not in (torch.float32, torch.float64):
+            if name in query.inputs and value.dtype not in (torch.float32, torch.float64):
                 value = value.double()
             if name == "directions" and value.ndim == 1 and "origins" in names:  # one for all
                 value = value.expand(tensors[names.index("origins")].shape)
-            elif entry.single and name in entry.inputs and value.ndim != 2:
+            elif query.is_single and name in query.inputs and value.ndim != 2:
                 lead, value = value.shape[:-1], value.reshape(-1, 3)
             names, tensors = (*names, name), [*tensors, value]
         elif value is None or isinstance(value, (bool, int, float, str)):
@@ -71,29 +72,29 @@ def traced(entry: Entry, args: Any, kwargs: Any) -> Any:
             options = (*options, (name, tuple(value)))
         else:
             holders = (*holders, (name, id(value)))
-            held = value.__dict__.get("_held_tensors") if place == 0 or name in entry.holders else None
+            held = value.__dict__.get("_held_tensors") if place == 0 or name in query.holders else None
             if held is not None:
                 for key in held:
                     names = (*names, key if place == 0 else f"{name}.{key}")
                     tensors = [*tensors, held[key]]
-    answer = torch.ops.geokit.answer(tensors, _number(entry.address, names, holders, options))
-    answer = answer[0] if entry.kind is None else entry.kind(*answer)
-    return answer if lead is None else entry.shaped(answer, lead)
+    answer = torch.ops.geokit.answer(tensors, _number(id(query), names, holders, options))
+    answer = answer[0] if query.kind is None else query.kind(*answer)
+    return answer if lead is None else shaped(query, answer, lead)
 
 
 @torch.library.custom_op("geokit::answer", mutates_args=())
 def _answer(tensors: list[torch.Tensor], call: int) -> list[torch.Tensor]:
     known = _known[call]
     asked = known.asked([tensor.detach() for tensor in tensors])
-    given = {name: untracked(value) for name, value in asked.arguments.items() if name in dict(known.entry.parameters)}
-    answer = known.entry.run(given)
+    given = {name: untracked(value) for name, value in asked.arguments.items() if name in dict(known.query.parameters)}
+    answer = known.query.run(given)
     return list(answer) if isinstance(answer, tuple) else [answer]
 
 
 @_answer.register_fake
 def _(tensors: list[torch.Tensor], call: int) -> list[torch.Tensor]:
     known = _known[call]
-    shapes = known.entry.rule().shapes
+    shapes = known.query.rule().shapes
     if shapes is None:
         raise InputError("this answer has no shape before it is known; call it outside of torch.compile")
     kinds = {"float": tensors[0].dtype, "int32": torch.int32}
@@ -107,10 +108,10 @@ def _pull(
     known = _known[call]
     asked = known.asked(tensors)
     # Other parameters, such as offsets, may be tensors too.
-    others = {name for name, _ in known.entry.parameters} - set(known.entry.inputs)
+    others = {name for name, _ in known.query.parameters} - set(known.query.inputs)
     wanted = [name for name in known.names if name not in others]
     asked = asked._replace(tensors={name: asked.tensors[name] for name in wanted})
-    rule = known.entry.rule()
+    rule = known.query.rule()
     found = by_kernel(rule, asked, answer, slopes, wanted)
     if found is None:
         found = pulled(rule, asked, answer, slopes, wanted)

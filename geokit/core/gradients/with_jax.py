@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from geokit.core.gradients.library import Library
-from geokit.core.gradients.rules import Asked, Call, Deferred
+from geokit.core.gradients.rules import Asked, Call, Deferred, owner_of
 from geokit.errors import InputError
 
 __all__ = ["LIBRARY", "Traced", "attach"]
@@ -34,7 +34,7 @@ def attach(call: Call) -> Any:
     others = {name: _stripped(value) for name, value in call.asked.arguments.items() if name not in call.names}
     plain = call._replace(asked=Asked({}, others))
     answer = _query(plain, *tensors)
-    return answer[0] if call.entry.kind is None else call.entry.kind(*answer)
+    return answer[0] if call.query.kind is None else call.query.kind(*answer)
 
 
 def _stripped(value: Any) -> Any:
@@ -43,7 +43,7 @@ def _stripped(value: Any) -> Any:
 
 def _asked(call: Call, tensors: Any) -> Asked:
     given = dict(zip(call.names, tensors, strict=True))
-    arguments = {**call.asked.arguments, **{name: given[name] for name in call.entry.inputs if name in given}}
+    arguments = {**call.asked.arguments, **{name: given[name] for name in call.query.inputs if name in given}}
     for owner, held in _held(call, given).items():
         arguments[owner] = arguments[owner].holding(held)
     return Asked(given, arguments)
@@ -53,8 +53,8 @@ def _held(call: Call, given: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """The tensors that objects hold, by the object's parameter and by name."""
     found: dict[str, dict[str, Any]] = {}
     for name, value in given.items():
-        if name not in call.entry.inputs:
-            owner, key = call.entry.owner(name)
+        if name not in call.query.inputs:
+            owner, key = owner_of(call.query, name)
             found.setdefault(owner, {})[key] = value
     return found
 
@@ -64,13 +64,13 @@ def _answer(call: Call, rows: tuple[Any, ...]) -> tuple[Any, ...]:
     asked = _asked(call, rows)
     for owner, held in _held(call, asked.tensors).items():
         asked.arguments[owner] = asked.arguments[owner].made(**held)
-    answer = call.entry.run(asked.arguments)
+    answer = call.query.run(asked.arguments)
     return answer if isinstance(answer, tuple) else (answer,)
 
 
 @functools.partial(jax.custom_vjp, nondiff_argnums=(0,))
 def _query(call: Call, *tensors: Any) -> Any:
-    rule = call.entry.rule()
+    rule = call.query.rule()
     if rule.shapes is None:
         raise InputError(f"{', '.join(call.names)}: jax needs the answer's shape before it is known; use torch")
     kind = tensors[0].dtype
@@ -80,7 +80,7 @@ def _query(call: Call, *tensors: Any) -> Any:
     ]
     ranks = [tensor.ndim for tensor in tensors]
     # Rows that do not depend on each other are rows of one call, whatever batch they are of.
-    one_by_one = not call.entry.single or any(name not in call.entry.inputs for name in call.names)
+    one_by_one = not call.query.is_single or any(name not in call.query.inputs for name in call.names)
 
     def run(*rows: Any) -> Any:
         given = [np.asarray(row) for row in rows]
@@ -104,7 +104,7 @@ def _query(call: Call, *tensors: Any) -> Any:
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _pulled_on_host(call: Call, tensors: Any, slopes: Any) -> Any:
     """The derivatives of a rule with ``on_host``."""
-    on_host: Any = call.entry.rule().on_host
+    on_host: Any = call.query.rule().on_host
     pull, count = on_host(_asked(call, tensors)), len(tensors)
 
     def run(*rows: Any) -> Any:
@@ -128,7 +128,7 @@ def _forward(call: Call, *tensors: Any) -> Any:
 
 def _backward(call: Call, kept: Any, slopes: Any) -> Any:
     tensors, answer = kept
-    asked, rule = _asked(call, tensors), call.entry.rule()
+    asked, rule = _asked(call, tensors), call.query.rule()
     if rule.on_host is not None:
         return _pulled_on_host(call, tensors, slopes)
     if rule.prepare is not None:

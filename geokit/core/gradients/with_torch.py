@@ -42,14 +42,14 @@ def attach(call: Call) -> Any:
         # A GPU is at work while the graph is made.
         with AtEnd():
             answer = _answered(call, tensors)
-    return answer[0] if call.entry.kind is None else call.entry.kind(*answer)
+    return answer[0] if call.query.kind is None else call.query.kind(*answer)
 
 
 def _answered(call: Call, tensors: list[Any]) -> Any:
     plain = [tensor.detach() for tensor in tensors]
     if not torch.is_grad_enabled():
         return _tuple_of(call.run(*plain))
-    rule, first = call.entry.rule(), call.entry.parameters[0][0]
+    rule, first = call.query.rule(), call.query.parameters[0][0]
     asked = call.asked._replace(arguments=dict(call.asked.arguments))
     if hasattr(asked.arguments[first], "update") and hasattr(asked.arguments[first], "_cache"):
         # The backward pass is that of the object as it is now.
@@ -139,7 +139,7 @@ def _keep(ctx: Any, call: Call, tensors: Any, answer: Any, kept: Any) -> None:
     """Keep for the backward pass what was asked and found, and the derivative by the first tensor, if it is known."""
     ctx.call, ctx.outputs = call, len(answer)
     ctx.set_materialize_grads(False)
-    has_slope = call.entry.rule().has_slope
+    has_slope = call.query.rule().has_slope
     ctx.mark_non_differentiable(*(out for out, some in zip(answer, has_slope, strict=True) if not some))
     ctx.save_for_backward(*tensors, *answer, *(() if kept is None else (kept,)))
 
@@ -162,7 +162,7 @@ def _pulled_back(ctx: Any, slopes: Any) -> list[Any]:
         return [slopes[0][:, None] * kept[0]]
     wanted = [name for name, need in zip(call.names, ctx.needs_input_grad[-count:], strict=True) if need]
     asked = call.asked._replace(tensors=dict(zip(call.names, tensors, strict=True)))
-    rule = call.entry.rule()
+    rule = call.query.rule()
     found = by_kernel(rule, asked, answer, slopes, wanted)
     if found is None:
         found = pulled(rule, asked, [output.detach() for output in answer], slopes, wanted)

@@ -12,26 +12,27 @@ too.
 Nothing is checked less: recorded kernels raise the same flags, rows that kernels do not check are checked here, and
 whatever is unusual (a raised flag, another type, an option of a type of its own) goes the general way, which names it.
 
-What a query does between its launches is not repeated. A query that is decorated must depend on its rows in its
-launches only, and in flags (:func:`geokit.core.memory.pinned.host_flags`); where it cannot, it calls :func:`refuse`.
+What a query does between its launches is not repeated. One whose record says ``is_replayed`` must depend on its rows in
+its launches only, and in flags (:func:`geokit.core.memory.pinned.host_flags`); where it cannot, it calls
+:func:`refuse`.
 """
 
 from __future__ import annotations
 
-import functools
 import math
 import sys
 import threading
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, ParamSpec, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from geokit.core.base.object_cache import ObjectCache
+from geokit.core.base.query import Query
 from geokit.core.launches import warp_private
 from geokit.core.launches.launch_cache import launch_argument
 
-__all__ = ["Recorder", "current", "refuse", "replayed"]
+__all__ = ["Recorder", "answer", "current", "refuse"]
 
 # Above this number of rows kernels take longer than what a replay saves.
 MOST_ROWS = 256
@@ -47,9 +48,6 @@ PLAIN = frozenset((bool, int, float, str, type(None), np.float64, np.int64))
 # Marks calls that cannot be recorded.
 NEVER = ()
 
-_Arguments = ParamSpec("_Arguments")
-_Answer = TypeVar("_Answer")
-
 
 class _Thread(threading.local):
     recorder: Recorder | None = None
@@ -58,63 +56,54 @@ class _Thread(threading.local):
 _thread = _Thread()
 
 
-def replayed(rows: int = 1) -> Callable[[Callable[_Arguments, _Answer]], Callable[_Arguments, _Answer]]:
-    """Decorate a query so that small calls on a CPU are replayed.
+def answer(query: Query, search: Callable[..., Any], given: tuple[Any, ...], options: dict[str, Any]) -> Any:
+    """The answer of a call, by the launches of an earlier one where it is a small call on a CPU.
 
     Args:
-        rows: Number of the arguments after the first that are rows, (N, 3). The first argument is the object that is
-            queried. It keeps the recordings in ``_cache`` (:class:`geokit.core.base.object_cache.CacheAttribute`): they
-            end with it, and when it is cleared.
-    Returns:
-        The decorator.
+        query: Its object keeps the recordings in ``_cache`` (:class:`geokit.core.base.object_cache.CacheAttribute`):
+            they end with it, and when it is cleared.
+        search: ``search(query, given, options)`` answers all other calls.
+        given, options: Its arguments.
     """
+    torch: Any = sys.modules.get("torch")
+    rows = len(query.rows)
+    if torch is not None and len(given) > rows and type(given[1]) is torch.Tensor:
+        plain = _host_rows(torch, given, rows)
+        if plain is not None:
+            return _as_tensors(torch, _of_arrays(query, search, plain, options))
+    return _of_arrays(query, search, given, options)
 
-    def decorate(query: Callable[_Arguments, _Answer]) -> Callable[_Arguments, _Answer]:
-        name = query.__qualname__
 
-        @functools.wraps(query)
-        def run(*given: _Arguments.args, **options: _Arguments.kwargs) -> _Answer:
-            torch: Any = sys.modules.get("torch")
-            if torch is not None and len(given) > rows and type(given[1]) is torch.Tensor:
-                plain: Any = _host_rows(torch, given, rows)
-                if plain is not None:
-                    return _as_tensors(torch, answered(*plain, **options))
-            return answered(*given, **options)
-
-        def answered(*given: _Arguments.args, **options: _Arguments.kwargs) -> _Answer:
-            key = _key_of(name, rows, given, options)
-            if key is None or _thread.recorder is not None:
-                return query(*given, **options)
-            cache = getattr(given[0], "_cache", None)
-            if type(cache) is not ObjectCache:  # what was given is not what is queried, which the query will refuse
-                return query(*given, **options)
-            kept: dict[Any, Any] = cache.find(KEPT, dict)
-            idle = kept.get(key)
-            if idle:
-                try:
-                    recording = idle.pop()  # one thread at a time
-                except IndexError:
-                    return query(*given, **options)
-                try:
-                    answer = recording.replay(given)
-                except MemoryError:
-                    answer = None
-                idle.append(recording)
-                return query(*given, **options) if answer is None else answer
-            if idle is NEVER:
-                return query(*given, **options)
-            if idle is not None:
-                return _recorded(query, rows, given, options, kept, key)
-            # What is built at the first call is not part of the others.
-            answer = query(*given, **options)
-            if len(kept) >= MOST_KEPT:
-                kept.clear()
-            kept.setdefault(key, [])
-            return answer
-
-        return run
-
-    return decorate
+def _of_arrays(query: Query, search: Callable[..., Any], given: tuple[Any, ...], options: dict[str, Any]) -> Any:
+    key = _key_of(query, given, options)
+    if key is None or _thread.recorder is not None:
+        return search(query, given, options)
+    cache = getattr(given[0], "_cache", None)
+    if type(cache) is not ObjectCache:  # what was given is not what is queried, which the query will refuse
+        return search(query, given, options)
+    kept: dict[Any, Any] = cache.find(KEPT, dict)
+    idle = kept.get(key)
+    if idle:
+        try:
+            recording = idle.pop()  # one thread at a time
+        except IndexError:
+            return search(query, given, options)
+        try:
+            answer = recording.replay(given)
+        except MemoryError:
+            answer = None
+        idle.append(recording)
+        return search(query, given, options) if answer is None else answer
+    if idle is NEVER:
+        return search(query, given, options)
+    if idle is not None:
+        return _recorded(query, search, given, options, kept, key)
+    # What is built at the first call is not part of the others.
+    answer = search(query, given, options)
+    if len(kept) >= MOST_KEPT:
+        kept.clear()
+    kept.setdefault(key, [])
+    return answer
 
 
 def _host_rows(torch: Any, given: Sequence[Any], rows: int) -> tuple[Any, ...] | None:
@@ -143,8 +132,9 @@ def _as_tensors(torch: Any, answer: Any) -> Any:
     return torch.from_numpy(np.require(answer, requirements="W"))
 
 
-def _key_of(name: str, rows: int, given: Sequence[Any], options: dict[str, Any]) -> Any:
+def _key_of(query: Query, given: Sequence[Any], options: dict[str, Any]) -> Any:
     """Key of the calls that one recording answers; None for a call that is not replayed."""
+    rows = len(query.rows)
     if len(given) <= rows:
         return None
     first = given[1]
@@ -152,12 +142,12 @@ def _key_of(name: str, rows: int, given: Sequence[Any], options: dict[str, Any])
     if type(first) is not np.ndarray or not 0 < first.size <= 3 * MOST_ROWS:
         return None
     if rows == 1:
-        key = name, first.shape, first.dtype
+        key = query, first.shape, first.dtype
     else:
         second = given[2]
         if type(second) is not np.ndarray or second.size != first.size:
             return None
-        key = name, first.shape, first.dtype, second.shape, second.dtype
+        key = query, first.shape, first.dtype, second.shape, second.dtype
     if len(given) == rows + 1 and not options:
         return key
     values = (*given[rows + 1 :], *options.values())
@@ -165,12 +155,10 @@ def _key_of(name: str, rows: int, given: Sequence[Any], options: dict[str, Any])
     return (key, tuple(options), values, kinds) if PLAIN.issuperset(kinds) else None
 
 
-def _recorded(
-    query: Any, rows: int, given: Sequence[Any], options: dict[str, Any], kept: dict[Any, Any], key: Any
-) -> Any:
-    recorder = _thread.recorder = Recorder(given[1 : rows + 1])
+def _recorded(query: Query, search: Any, given: Any, options: dict[str, Any], kept: dict[Any, Any], key: Any) -> Any:
+    recorder = _thread.recorder = Recorder(given[1 : len(query.rows) + 1])
     try:
-        answer = query(*given, **options)
+        answer = search(query, given, options)
     finally:
         _thread.recorder = None
     recording = recorder.finished(answer)

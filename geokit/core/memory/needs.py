@@ -19,7 +19,16 @@ from geokit.core.base.forks import renew_after_fork
 from geokit.core.memory import available_memory
 from geokit.errors import LARGEST_NEED, DeviceMemoryError, GeokitError, InputError
 
-__all__ = ["be_a_guest", "file_size", "is_out_of_memory", "needs", "require_free", "rows"]
+__all__ = [
+    "be_a_guest",
+    "estimated",
+    "file_size",
+    "guarded",
+    "is_out_of_memory",
+    "needs",
+    "require_free",
+    "rows",
+]
 
 # Needs up to this many bytes are not checked: to ask for the free memory takes 50 us.
 UNCHECKED_BYTES = 1 << 24
@@ -55,7 +64,7 @@ def needs(
     Args:
         estimate: Called with the function's arguments, and returns bytes: the peak, beyond the arguments. None where
             nobody can know.
-        late: Call it only where memory runs out. For queries that a call should not delay.
+        late: Call it only where memory runs out. For what a call should not delay.
         fatal: A library below ends the process where it gets no memory, so the smallest need is checked too.
         name: Name in messages; by default that of the function.
     """
@@ -65,44 +74,65 @@ def needs(
         what = name or (function.__qualname__.split(".")[0] if is_class else function.__name__)
 
         def bytes_of(*args: Any, **kwargs: Any) -> int:
-            try:
-                return int(min(estimate(*args, **kwargs), LARGEST_NEED)) if estimate else 0
-            except Exception:  # of bad arguments, which the function itself names
-                return 0
+            return estimated(estimate, args, kwargs)
 
         @functools.wraps(function)
-        def guarded(*args: _Parameters.args, **kwargs: _Parameters.kwargs) -> _Result:
-            stated = 0
-            if not late:
-                stated = bytes_of(*args, **kwargs)
-                require_free(stated, what, always=fatal)
-            if _native is None:
-                _look_for_torch()
-            try:
-                if _native is None:
-                    return function(*args, **kwargs)
-                with _native:
-                    return function(*args, **kwargs)
-            except DeviceMemoryError as error:
-                _restate(error, what, stated or bytes_of(*args, **kwargs))
-                raise
-            except Exception as error:
-                if isinstance(error, ValueError) and TOO_LONG in str(error):
-                    raise InputError(
-                        f"{what}: a single array of this would have more than 2^31 - 1 rows; give it less at a time"
-                    ) from error
-                if not is_out_of_memory(error):
-                    raise
-                # What the operation has made so far is freed, so that there is memory for the message.
-                traceback.clear_frames(error.__traceback__)
-                # Where memory has run out, the estimate may not be found a second time.
-                need = stated or bytes_of(*args, **kwargs)
-                raise _refusal(what, need, available_memory.available_host()) from error
+        def run(*args: _Parameters.args, **kwargs: _Parameters.kwargs) -> _Result:
+            if late:
+                return guarded(what, lambda: bytes_of(*args, **kwargs), function, *args, **kwargs)
+            stated = bytes_of(*args, **kwargs)
+            require_free(stated, what, always=fatal)
+            # Where memory has run out, the estimate may not be found a second time.
+            return guarded(what, lambda: stated or bytes_of(*args, **kwargs), function, *args, **kwargs)
 
-        guarded._geokit_bytes = bytes_of  # type: ignore[attr-defined]
-        return guarded
+        run._geokit_bytes = bytes_of  # type: ignore[attr-defined]
+        return run
 
     return decorated
+
+
+def estimated(estimate: Callable[..., float] | None, args: Sequence[Any], kwargs: dict[str, Any]) -> int:
+    """What an estimate says of a call [bytes]; 0 where there is none."""
+    try:
+        return int(min(estimate(*args, **kwargs), LARGEST_NEED)) if estimate else 0
+    except Exception:  # of bad arguments, which the function itself names
+        return 0
+
+
+def guarded(
+    what: str,
+    need: Callable[[], int],
+    function: Callable[_Parameters, _Result],
+    /,
+    *args: _Parameters.args,
+    **kwargs: _Parameters.kwargs,
+) -> _Result:
+    """The answer of a function; where memory runs out, the error is that of a public operation.
+
+    Args:
+        what: The operation's name in messages.
+        need: Called where memory runs out; returns the bytes that the operation needs.
+    """
+    if _native is None:
+        _look_for_torch()
+    try:
+        if _native is None:
+            return function(*args, **kwargs)
+        with _native:
+            return function(*args, **kwargs)
+    except DeviceMemoryError as error:
+        _restate(error, what, need())
+        raise
+    except Exception as error:
+        if isinstance(error, ValueError) and TOO_LONG in str(error):
+            raise InputError(
+                f"{what}: a single array of this would have more than 2^31 - 1 rows; give it less at a time"
+            ) from error
+        if not is_out_of_memory(error):
+            raise
+        # What the operation has made so far is freed, so that there is memory for the message.
+        traceback.clear_frames(error.__traceback__)
+        raise _refusal(what, need(), available_memory.available_host()) from error
 
 
 class _Guest:

@@ -2,128 +2,71 @@
 
 from __future__ import annotations
 
-import functools
-import inspect
-from collections.abc import Callable
-from typing import Any, ParamSpec, TypeVar
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.base.query import Query
 from geokit.core.gradients.rules import held_by, is_tracked
 from geokit.core.interop import user_arrays
-from geokit.core.memory.needs import needs
-from geokit.core.memory.needs import rows as count
-from geokit.core.poses.move import BYTES_PER_MOVE, move, require_rigid
+from geokit.core.poses.move import move, require_rigid
 from geokit.errors import InputError
 
-__all__ = ["placed", "without_gradients"]
-
-_Arguments = ParamSpec("_Arguments")
-_Answer = TypeVar("_Answer")
+__all__ = ["answer", "moved_fields", "refuse_gradients"]
 
 
-def placed(
-    *names: str,
-    directions: tuple[str, ...] = (),
-    moved: tuple[str, ...] = (),
-    turned: tuple[str, ...] = (),
-    check: Callable[..., None] | None = None,
-) -> Callable[[Callable[_Arguments, _Answer]], Callable[_Arguments, _Answer]]:
-    """Decorate a query so that its option ``transform`` says where the surface or volume is.
+def answer(query: Query, given: tuple[Any, ...], options: dict[str, Any]) -> Any:
+    """The answer of a call whose option ``transform`` says where the surface or volume is.
 
     The query itself never sees the option. Rows and answers are moved in float64 on the device of the query.
 
-    Args:
-        names: The first parameters of the query after the surface or volume, rows of shape (N, 3).
-        directions: Those of them that are turned only.
-        moved: Fields of the answer that are points.
-        turned: Fields of the answer that are directions; where it has no fields, the name of it all.
-        check: Called beside a transform with the surface or volume and the query's options, to refuse some.
+    Raises:
+        InputError: The transform is not rigid, the query refuses it, or rows or the body carry gradients.
     """
-
-    def decorate(query: Callable[_Arguments, _Answer]) -> Callable[_Arguments, _Answer]:
-        @functools.wraps(query)
-        def run(*given: _Arguments.args, **options: _Arguments.kwargs) -> _Answer:
-            if "transform" not in options:
-                return query(*given, **options)
-            transform = options.pop("transform")
-            return (
-                query(*given, **options) if transform is None else moving(require_rigid(transform), *given, **options)
-            )
-
-        expected = (next(iter(inspect.signature(query).parameters)), *names)
-
-        def bytes_of(*given: Any, transform: Any = None, **options: Any) -> int:
-            own: int = query._geokit_bytes(*given, **options)  # type: ignore[attr-defined]
-            rows = given[1] if len(given) > 1 else options.get(names[0])
-            return own if transform is None else own + BYTES_PER_MOVE * len((*names, *moved, *turned)) * count(rows)
-
-        @needs(
-            lambda matrix, *given, **options: bytes_of(*given, transform=matrix, **options),
-            late=True,
-            name=query.__name__,
-        )
-        def moving(matrix: NDArray[np.float64], *given: Any, **options: Any) -> Any:
-            if any(name not in options for name in expected[len(given) :]):
-                return query(*given, **options)  # which names what is missing
-            body, *values = *given, *(options.pop(name) for name in expected[len(given) :])
-            if check is not None:
-                check(body, **options)
-            _refuse_tracked(body, dict(zip(names, values, strict=False)))
-            device = body._device if hasattr(body, "_device") else launcher.resolve_device(options.get("device"))
-            to_body: Any = np.linalg.inv(matrix)
-            batches = user_arrays.read_rows(values[: len(names)], names, device)
-            rows: list[Any] = [
-                move(batch.array, to_body, turned=name in directions)
-                for name, batch in zip(names, batches, strict=True)
-            ]
-            answer: Any = query(body, *rows, *values[len(names) :], **options)
-            give = batches[0].to_caller
-            if not isinstance(answer, tuple):
-                return give(move(answer, matrix, turned=True) if turned else answer)
-            found = answer._asdict()  # type: ignore[attr-defined]
-            for field in (*moved, *turned):
-                found[field] = move(found[field], matrix, turned=field in turned)
-            if "offsets" in found:
-                give = batches[0].to_lists or give
-            return type(answer)(*map(give, found.values()))
-
-        run._geokit_bytes = bytes_of  # type: ignore[attr-defined]
-        return run
-
-    return decorate
+    options = dict(options)
+    matrix = require_rigid(options.pop("transform"))
+    expected = query.positional[: 1 + len(query.rows)]
+    if any(name not in options for name in expected[len(given) :]):
+        return query.call(*given, **options)  # which names what is missing
+    body, *values = *given, *(options.pop(name) for name in expected[len(given) :])
+    if query.places is not None:
+        query.places(body, **options)
+    refuse_gradients(query, (body, *values), options)
+    device = body._device if hasattr(body, "_device") else launcher.resolve_device(options.get("device"))
+    to_body: Any = np.linalg.inv(matrix)
+    batches = user_arrays.read_rows(values[: len(query.rows)], query.rows, device)
+    rows: list[Any] = [
+        move(batch.array, to_body, turned=name == "directions") for name, batch in zip(query.rows, batches, strict=True)
+    ]
+    found: Any = query.call(body, *rows, *values[len(query.rows) :], **options)
+    give = batches[0].to_caller
+    if query.kind is None:
+        return give(move(found, matrix, turned=True) if query.is_turned else found)
+    fields = found._asdict()
+    for field in moved_fields(query):
+        fields[field] = move(fields[field], matrix, turned=field == "normals")
+    if "offsets" in fields:
+        give = batches[0].to_lists or give
+    return query.kind(*map(give, fields.values()))
 
 
-def without_gradients(
-    *names: str,
-) -> Callable[[Callable[_Arguments, _Answer]], Callable[_Arguments, _Answer]]:
-    """Decorate a query that moves rows by itself: beside its ``transform`` tensors with gradients are refused."""
-
-    def decorate(query: Callable[_Arguments, _Answer]) -> Callable[_Arguments, _Answer]:
-        @functools.wraps(query)
-        def run(*given: _Arguments.args, **options: _Arguments.kwargs) -> _Answer:
-            if options.get("transform") is not None:
-                rows = dict(zip(names, given[1:], strict=False)) | {n: options[n] for n in names if n in options}
-                _refuse_tracked(given[0], rows)
-            return query(*given, **options)
-
-        return run
-
-    return decorate
+def moved_fields(query: Query) -> list[str]:
+    """Fields of the answer that are points, and directions."""
+    return [field for field in getattr(query.kind, "_fields", ()) if field in ("points", "normals")]
 
 
-def _refuse_tracked(body: Any, rows: dict[str, Any]) -> None:
-    """Refuse tensors with gradients, through which a transform carries none.
+def refuse_gradients(query: Query, given: tuple[Any, ...], options: dict[str, Any]) -> None:
+    """Refuse tensors with gradients beside a transform, through which it carries none.
 
     Raises:
         InputError: The body holds such tensors, or some rows are one.
     """
-    if held_by(body):
+    if held_by(given[0]):
         raise InputError(
-            f"transform: the {type(body).__name__} holds tensors with gradients; move the rows by their library"
+            f"transform: the {type(given[0]).__name__} holds tensors with gradients; move the rows by their library"
         )
-    for name, value in rows.items():
+    rows = dict(zip(query.rows, given[1:], strict=False))
+    for name, value in (rows | {name: options[name] for name in query.rows if name in options}).items():
         if is_tracked(value):
             raise InputError(f"{name}: a tensor with gradients beside transform; move the rows by its library")

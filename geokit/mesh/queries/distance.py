@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geokit.core import launcher
-from geokit.core.base.snapshot import on_snapshot, snapshot
-from geokit.core.gradients.differentiable import undifferentiable
+from geokit.core.base.snapshot import snapshot
 from geokit.core.interop.user_arrays import LARGEST_MEASURED
-from geokit.core.memory.needs import needs
 from geokit.core.poses.move import move
+from geokit.core.query.ask import query
 from geokit.core.require import require_affine, require_one_world
 from geokit.errors import InputError
 from geokit.mesh.queries.overlaps import LEAF_GRAIN, OverlapQueries, require_surface
@@ -45,9 +44,7 @@ class SurfaceDistance(NamedTuple):
 class DistanceQueries(OverlapQueries):
     """Distances of a :class:`geokit.mesh.Surface` from others."""
 
-    @undifferentiable
-    @needs(lambda self, *_, **__: 80 * self.mesh.face_count, late=True)
-    @on_snapshot
+    @query(memory=lambda self, *_, **__: 80 * self.mesh.face_count)
     def distance(self, other: OverlapQueries, *, transform: ArrayLike | None = None) -> SurfaceDistance:
         """Least distance from another surface: the clearance of two bodies, and the two points where it is.
 

@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
-from geokit.core.base.snapshot import on_snapshot, snapshot
+from geokit.core.base.snapshot import snapshot
 from geokit.core.interop import user_arrays
 from geokit.core.interop.types import Rows
 from geokit.core.memory import available_memory
-from geokit.core.memory.needs import needs, rows
+from geokit.core.memory.needs import rows
 from geokit.core.memory.pinned import host_flags
 from geokit.core.memory.unchecked import sort_pairs
+from geokit.core.query.ask import query
 from geokit.core.require import require_one_world
 from geokit.errors import DeviceMemoryError, InputError
 
@@ -48,8 +49,7 @@ class OverlapQueries:
     _frame: Frame
     _tree: Any
 
-    @needs(lambda self, lower, upper: 36 * rows(lower), late=True)
-    @on_snapshot
+    @query("lower", "upper", is_stepped=True, memory=lambda self, lower, upper: 36 * rows(lower))
     def overlapping(self, lower: Rows, upper: Rows) -> BoxOverlaps:
         """Triangles that intersect each box; exact tests of the triangles, not only of their bounding boxes.
 
@@ -102,8 +102,7 @@ class OverlapQueries:
         give = low.to_lists or low.to_caller
         return BoxOverlaps(give(offsets), give(triangle_id))
 
-    @needs(lambda self, *_, **__: 32 * self.mesh.face_count, late=True)
-    @on_snapshot
+    @query(is_stepped=True, memory=lambda self, *_, **__: 32 * self.mesh.face_count)
     def intersecting_triangles(self, other: "OverlapQueries") -> NDArray[np.int32]:
         """Pairs of intersecting triangles, one of this surface and one of another.
 
@@ -125,8 +124,7 @@ class OverlapQueries:
         require_one_world(surface=self.mesh, other=other.mesh)
         return self._pairs(snapshot(other))
 
-    @needs(lambda self, *_, **__: 32 * self.mesh.face_count, late=True)
-    @on_snapshot
+    @query(is_stepped=True, memory=lambda self, *_, **__: 32 * self.mesh.face_count)
     def self_intersections(self) -> NDArray[np.int32]:
         """Pairs of triangles of this mesh that intersect beyond the vertex or edge that they share.
 

@@ -10,18 +10,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geokit.core import launcher
-from geokit.core.base.snapshot import on_snapshot
 from geokit.core.blocks.chunked_queries import Progress, in_chunks
-from geokit.core.gradients.differentiable import differentiable, undifferentiable
+from geokit.core.blocks.several_devices import LEAST_ON_GPUS
 from geokit.core.gradients.rules import untracked
 from geokit.core.interop import user_arrays
 from geokit.core.interop.arrays import import_array
 from geokit.core.interop.types import Rows
 from geokit.core.launches.late_checks import later
-from geokit.core.launches.replay import replayed
-from geokit.core.memory.needs import needs, rows
+from geokit.core.memory.needs import rows
 from geokit.core.memory.pinned import host_flags
-from geokit.core.poses.placed import placed
+from geokit.core.query.ask import query
 from geokit.core.require import require_unrecorded
 from geokit.mesh.attributes.interpolation import chosen_names, interpolated, interpolation_bytes
 from geokit.mesh.topology.size_limits import require_measurable
@@ -70,11 +68,7 @@ class PointQueries:
     _frame: Frame
     _tree: Any
 
-    @placed("points", moved=("points",))
-    @differentiable("geokit.mesh.queries.gradients:CLOSEST_POINT", "points")
-    @replayed()
-    @needs(lambda self, points, *_, **__: 80 * rows(points), late=True)
-    @on_snapshot
+    @query("points", gradient=".gradients:CLOSEST_POINT", is_replayed=True, least_rows=LEAST_ON_GPUS, row_bytes=80)
     def closest_point(
         self,
         points: Rows,
@@ -128,9 +122,9 @@ class PointQueries:
         return in_chunks(query, [points], ["points"], self._device, progress, defer=True)
 
     # Its answers are dictionaries of NumPy arrays, so calls are not replayed.
-    @undifferentiable
-    @needs(lambda self, points, *, names=None, **_: interpolation_bytes(self.mesh, names) * rows(points), late=True)
-    @on_snapshot
+    @query(
+        "points", memory=lambda self, points, *, names=None, **_: interpolation_bytes(self.mesh, names) * rows(points)
+    )
     def sample_attributes(
         self, points: Rows, *, max_distance: float = math.inf, names: Sequence[str] | None = None
     ) -> dict[str, NDArray[Any]]:
@@ -169,11 +163,7 @@ class PointQueries:
         values = interpolated(self.mesh, triangle_id.reshape(-1), table, asked)
         return values if barycentric.ndim == 2 else {name: rows[0] for name, rows in values.items()}
 
-    @placed("points", moved=("points",))
-    @undifferentiable
-    @replayed()
-    @needs(lambda self, points, *_, **__: 72 * rows(points), late=True)
-    @on_snapshot
+    @query("points", is_replayed=True, least_rows=LEAST_ON_GPUS, row_bytes=72)
     def furthest_point(self, points: Rows, *, transform: ArrayLike | None = None) -> FurthestPoints:
         """Furthest point of the surface for each query point: always a vertex, exact in float64.
 

@@ -8,16 +8,12 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from geokit.core import launcher
-from geokit.core.base.snapshot import on_snapshot
 from geokit.core.blocks.chunked_queries import Progress, in_chunks
-from geokit.core.gradients.differentiable import differentiable, undifferentiable
 from geokit.core.interop import user_arrays
 from geokit.core.interop.types import Rows
 from geokit.core.launches.late_checks import later
-from geokit.core.launches.replay import replayed
-from geokit.core.memory.needs import needs, rows
 from geokit.core.memory.pinned import host_flags
-from geokit.core.poses.placed import placed
+from geokit.core.query.ask import query
 from geokit.core.scan import row_offsets
 from geokit.errors import InputError
 from geokit.mesh.topology.size_limits import require_measurable
@@ -41,6 +37,8 @@ FEWEST_IN_PASSES = 1 << 14
 
 
 NAMES = ("origins", "directions")
+# Fewest rays for each of several GPUs: of fewer, first hits take less time than their copies to another one.
+LEAST_RAYS_ON_GPUS = 1 << 22
 
 # A kernel, its number of items, and its inputs.
 _Launch = tuple[Any, int, list[Any]]
@@ -77,11 +75,14 @@ class RayQueries:
     _frame: Frame
     _tree: Any
 
-    @placed("origins", "directions", directions=("directions",))
-    @differentiable("geokit.mesh.queries.gradients:RAYCAST", "origins", "directions")
-    @replayed(rows=2)
-    @needs(lambda self, origins, *_, **__: 52 * rows(origins), late=True)
-    @on_snapshot
+    @query(
+        "origins",
+        "directions",
+        gradient=".gradients:RAYCAST",
+        is_replayed=True,
+        least_rows=LEAST_RAYS_ON_GPUS,
+        row_bytes=52,
+    )
     def raycast(
         self,
         origins: Rows,
@@ -144,10 +145,7 @@ class RayQueries:
 
         return self._in_chunks(query, origins, directions, progress)
 
-    @placed("origins", "directions", directions=("directions",))
-    @undifferentiable
-    @needs(lambda self, origins, *_, **__: 52 * rows(origins), late=True)
-    @on_snapshot
+    @query("origins", "directions", least_rows=LEAST_RAYS_ON_GPUS, row_bytes=52)
     def raycast_all(
         self,
         origins: Rows,
@@ -200,10 +198,7 @@ class RayQueries:
         give = rays.to_lists or rays.to_caller
         return RayHitLists(give(offsets), give(t), give(triangle_id), give(barycentric))
 
-    @placed("origins", "directions", directions=("directions",))
-    @replayed(rows=2)
-    @needs(lambda self, origins, *_, **__: 16 * rows(origins), late=True)
-    @on_snapshot
+    @query("origins", "directions", is_replayed=True, is_stepped=True, least_rows=LEAST_RAYS_ON_GPUS, row_bytes=16)
     def crossing_count(
         self,
         origins: Rows,
@@ -235,10 +230,7 @@ class RayQueries:
 
         return self._in_chunks(query, origins, directions, progress)
 
-    @placed("origins", "directions", directions=("directions",))
-    @replayed(rows=2)
-    @needs(lambda self, origins, *_, **__: 13 * rows(origins), late=True)
-    @on_snapshot
+    @query("origins", "directions", is_replayed=True, is_stepped=True, least_rows=LEAST_RAYS_ON_GPUS, row_bytes=13)
     def occluded(
         self,
         origins: Rows,

@@ -11,17 +11,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from geokit._warn import warn
 from geokit.core import launcher
-from geokit.core.base.snapshot import on_snapshot
 from geokit.core.blocks.chunked_queries import Progress, in_chunks
-from geokit.core.gradients.differentiable import differentiable, undifferentiable
+from geokit.core.blocks.several_devices import LEAST_ON_GPUS
 from geokit.core.interop import user_arrays
 from geokit.core.interop.types import Rows
 from geokit.core.launches.late_checks import later
-from geokit.core.launches.replay import replayed
 from geokit.core.memory.host_array import HostArray
-from geokit.core.memory.needs import needs, rows
+from geokit.core.memory.needs import rows
 from geokit.core.memory.pinned import host_flags
-from geokit.core.poses.placed import placed
+from geokit.core.query.ask import query
 from geokit.core.require import require_choice, require_flag
 from geokit.mesh.queries.points import ClosestPoints, PointQueries, checked_radius, refuse_raised
 from geokit.mesh.topology.size_limits import require_measurable
@@ -65,11 +63,13 @@ class SignQueries(PointQueries):
     # Whether faces were left out that signs are still decided by.
     _is_trimmed = False
 
-    @placed("points", moved=("points",))
-    @differentiable("geokit.mesh.queries.gradients:SIGNED_DISTANCE", "points")
-    @replayed()
-    @needs(_sign_bytes, late=True)
-    @on_snapshot
+    @query(
+        "points",
+        gradient="..queries.gradients:SIGNED_DISTANCE",
+        is_replayed=True,
+        least_rows=LEAST_ON_GPUS,
+        memory=_sign_bytes,
+    )
     def signed_distance(
         self,
         points: Rows,
@@ -157,10 +157,7 @@ class SignQueries(PointQueries):
 
         return in_chunks(query, [points], ["points"], self._device, progress, defer=True)
 
-    @placed("points")
-    @replayed()
-    @needs(_sign_bytes, late=True)
-    @on_snapshot
+    @query("points", is_replayed=True, is_stepped=True, least_rows=LEAST_ON_GPUS, memory=_sign_bytes)
     def contains(
         self,
         points: Rows,
@@ -210,11 +207,13 @@ class SignQueries(PointQueries):
 
         return in_chunks(query, [points], ["points"], device, progress, defer=by_closest)
 
-    @placed("points")
-    @differentiable("geokit.mesh.sign.gradients:WINDING_NUMBER", "points")
-    @replayed()
-    @needs(lambda self, points, **_: 100 * self.mesh.face_count + 32 * rows(points), late=True)
-    @on_snapshot
+    @query(
+        "points",
+        gradient=".gradients:WINDING_NUMBER",
+        is_replayed=True,
+        least_rows=LEAST_ON_GPUS,
+        memory=lambda self, points, **_: 100 * self.mesh.face_count + 32 * rows(points),
+    )
     def winding_number(
         self,
         points: Rows,
@@ -262,11 +261,12 @@ class SignQueries(PointQueries):
 
         return in_chunks(query, [points], ["points"], self._device, progress, defer=True)
 
-    @placed("points")
-    @undifferentiable
-    @replayed()
-    @needs(lambda self, points, **_: 100 * self.mesh.face_count + 40 * rows(points), late=True)
-    @on_snapshot
+    @query(
+        "points",
+        is_replayed=True,
+        least_rows=LEAST_ON_GPUS,
+        memory=lambda self, points, **_: 100 * self.mesh.face_count + 40 * rows(points),
+    )
     def sign_confidence(self, points: Rows, *, transform: ArrayLike | None = None) -> Any:
         """Margin of the sign by winding number: the distance of the winding number from 1/2.
 

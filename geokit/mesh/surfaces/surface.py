@@ -9,7 +9,7 @@ import numpy as np
 
 from geokit.core import launcher
 from geokit.core.base.object_cache import CacheAttribute
-from geokit.core.blocks.several_devices import OnDevices, replicas, shares, shows_arguments
+from geokit.core.blocks.several_devices import OnDevices, replicas, shows_arguments
 from geokit.core.frame import Frame
 from geokit.core.gradients.rules import hold, split
 from geokit.core.interop.notebook import repr_html
@@ -337,12 +337,6 @@ def _require_numbered(face_count: int, device: "wp.Device") -> None:
         )
 
 
-# First hits of fewer rays on a GPU take less time than their copies to another one.
-@shares(
-    dict.fromkeys(("raycast", "occluded", "crossing_count", "raycast_all"), 1 << 22),
-    closest_point=1, furthest_point=1, signed_distance=1, contains=1, winding_number=1, sign_confidence=1,
-    raycast=2, raycast_all=2, crossing_count=2, occluded=2,
-)  # fmt: skip
 class _SurfaceOnDevices(OnDevices, Surface):
     """A surface with a replica on each of several devices."""
 

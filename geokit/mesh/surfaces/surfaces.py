@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from geokit.core import launcher
 from geokit.core.base.object_cache import CacheAttribute
-from geokit.core.gradients.differentiable import differentiable
 from geokit.core.gradients.rules import hold, is_tracked, split
 from geokit.core.interop import user_arrays
 from geokit.core.interop.types import Device, Rows
@@ -20,8 +19,8 @@ from geokit.core.memory.host_array import HostArray
 from geokit.core.memory.needs import needs, rows
 from geokit.core.memory.pinned import host_flags
 from geokit.core.memory.struct_array import struct_array, struct_rows
-from geokit.core.poses.move import BYTES_PER_MOVE, move_packed, require_rigid_maps
-from geokit.core.poses.placed import without_gradients
+from geokit.core.poses.move import move_packed, require_rigid_maps
+from geokit.core.query.ask import query
 from geokit.core.require import described, read_array, require_choice, require_count, require_items
 from geokit.errors import InputError
 from geokit.mesh.model.triangle_mesh import TriangleMesh, trusted_mesh
@@ -48,12 +47,8 @@ def _bytes(self: Any, meshes: Any, **_: Any) -> float:
     return BYTES_PER_FACE * (rows(meshes[1]) if packed else sum(mesh.face_count for mesh in meshes))
 
 
-def _moving(transform: Any) -> int:
-    return 0 if transform is None else 2 * BYTES_PER_MOVE  # rays, or points and the answers
-
-
-def _sign_bytes(self: Any, points: Any, *_: Any, transform: Any = None, **__: Any) -> float:
-    return (124 + _moving(transform)) * rows(points) + SIGN_BYTES_PER_FACE * len(self._faces)
+def _sign_bytes(self: Any, *_: Any, **__: Any) -> int:
+    return SIGN_BYTES_PER_FACE * len(self._faces)
 
 
 class Surfaces:
@@ -187,9 +182,7 @@ class Surfaces:
             self._surfaces.setdefault(index, self.surface(index))
         return self._surfaces[index]
 
-    @without_gradients("points")
-    @differentiable("geokit.mesh.queries.gradients:CLOSEST_POINT_OF_MANY", "points", single=False)
-    @needs(lambda self, points, *_, transform=None, **__: (80 + _moving(transform)) * rows(points), late=True)
+    @query("points", gradient="..queries.gradients:CLOSEST_POINT_OF_MANY", row_bytes=80)
     def closest_point(
         self,
         points: Rows,
@@ -226,9 +219,7 @@ class Surfaces:
         found = found._replace(points=_back(found.points, where, maps))
         return ClosestPoints(*(shaped(batch.to_caller(array)) for array in found))
 
-    @without_gradients("points")
-    @differentiable("geokit.mesh.queries.gradients:SIGNED_DISTANCE_OF_MANY", "points", single=False)
-    @needs(_sign_bytes, late=True)
+    @query("points", gradient="..queries.gradients:SIGNED_DISTANCE_OF_MANY", row_bytes=124, memory=_sign_bytes)
     def signed_distance(
         self,
         points: Rows,
@@ -264,8 +255,7 @@ class Surfaces:
         outputs = found.distance, _back(found.points, where, maps), found.triangle_id, found.barycentric
         return SignedDistances(*(shaped(batch.to_caller(array)) for array in outputs))
 
-    @without_gradients("points")
-    @needs(_sign_bytes, late=True)
+    @query("points", is_stepped=True, row_bytes=124, memory=_sign_bytes)
     def contains(
         self,
         points: Rows,
@@ -301,9 +291,7 @@ class Surfaces:
         launcher.launch(is_negative_kernel, len(batch), [found.distance], [inside], self._device)
         return shaped(batch.to_caller(inside))
 
-    @without_gradients("origins", "directions")
-    @differentiable("geokit.mesh.queries.gradients:RAYCAST_OF_MANY", "origins", "directions", single=False)
-    @needs(lambda self, origins, *_, transform=None, **__: (52 + _moving(transform)) * rows(origins), late=True)
+    @query("origins", "directions", gradient="..queries.gradients:RAYCAST_OF_MANY", row_bytes=52)
     def raycast(
         self,
         origins: Rows,

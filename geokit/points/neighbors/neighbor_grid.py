@@ -13,16 +13,14 @@ from numpy.typing import NDArray
 from geokit.core import launcher
 from geokit.core.base.forks import Lock
 from geokit.core.base.object_cache import CacheAttribute
-from geokit.core.base.snapshot import on_snapshot
-from geokit.core.blocks.several_devices import OnDevices, replicas, shares, shows_arguments
-from geokit.core.gradients.differentiable import differentiable, undifferentiable
+from geokit.core.blocks.several_devices import OnDevices, replicas, shows_arguments
 from geokit.core.gradients.rules import hold, split
 from geokit.core.interop.types import Devices, Rows
 from geokit.core.interop.user_arrays import LARGEST_MEASURED, Batch, read_vectors, require_finite
 from geokit.core.launches import replay
-from geokit.core.launches.replay import replayed
 from geokit.core.memory import available_memory
 from geokit.core.memory.needs import needs, rows
+from geokit.core.query.ask import query
 from geokit.core.require import require_count, require_flag
 from geokit.core.scan import row_offsets
 from geokit.errors import DeviceMemoryError, InputError
@@ -56,6 +54,9 @@ LEAST_OF_SPACING = 1e-6
 SHORTENING = 4.0
 # Share of the free memory that one block of neighbors may use.
 BLOCK_SHARE = 0.25
+# Fewest queries for each of several GPUs: neighbors of fewer are found in less time than it takes to copy them.
+LEAST_QUERIES_ON_GPUS = 1 << 24
+LEAST_COUNTED_ON_GPUS = 40_000_000
 
 
 class Neighbors(NamedTuple):
@@ -396,9 +397,13 @@ class NeighborGrid:
         skin = "" if self._skin is None else f", skin={self._skin:g}"
         return f"NeighborGrid({self._count} points{groups}, radius={self._radius:g}{skin}, device={self.device!r})"
 
-    @replayed()
-    @needs(lambda self, queries=None, **_: (40 + self._row_bytes()) * self._asked_rows(queries), late=True)
-    @on_snapshot
+    @query(
+        "queries",
+        is_replayed=True,
+        is_stepped=True,
+        least_rows=LEAST_COUNTED_ON_GPUS,
+        memory=lambda self, queries=None, **_: (40 + self._row_bytes()) * self._asked_rows(queries),
+    )
     def count(
         self,
         queries: Rows | None = None,
@@ -432,9 +437,7 @@ class NeighborGrid:
         asked, home = self._ask(queries, radius, exclude_self, groups)
         return home.to_caller(search.count(asked))
 
-    @differentiable("geokit.points.search.gradients:WITHIN", "queries")
-    @needs(_list_bytes, late=True)
-    @on_snapshot
+    @query("queries", gradient="..search.gradients:WITHIN", least_rows=LEAST_QUERIES_ON_GPUS, memory=_list_bytes)
     def radius_search(
         self,
         queries: Rows | None = None,
@@ -480,9 +483,12 @@ class NeighborGrid:
             )
         )
 
-    @differentiable("geokit.points.search.gradients:IMAGES", "queries")
-    @needs(lambda self, queries=None, **given: 1.1 * _list_bytes(self, queries, **given), late=True)
-    @on_snapshot
+    @query(
+        "queries",
+        gradient="..search.gradients:IMAGES",
+        least_rows=LEAST_QUERIES_ON_GPUS,
+        memory=lambda self, queries=None, **given: 1.1 * _list_bytes(self, queries, **given),
+    )
     def neighbor_list(
         self,
         queries: Rows | None = None,
@@ -535,8 +541,7 @@ class NeighborGrid:
             offsets, indices, distance = found[0], images.named(found[1]), found[2]
         return NeighborList(*map(home.to_lists or home.to_caller, (offsets, indices, distance, shifts)))
 
-    @needs(_candidate_bytes, late=True)
-    @on_snapshot
+    @query(is_stepped=True, memory=_candidate_bytes)
     def candidates(self, *, exclude_self: bool = False) -> Candidates:
         """List for each point those that may be within the radius, for a grid with a skin.
 
@@ -566,9 +571,7 @@ class NeighborGrid:
         offsets, indices, shifts = listed[0].candidates(exclude_self)
         return Candidates(give(offsets), give(indices), None if shifts is None else give(shifts))
 
-    @undifferentiable
-    @needs()
-    @on_snapshot
+    @query("queries")
     def radius_search_blocks(
         self,
         queries: Rows | None = None,
@@ -623,9 +626,7 @@ class NeighborGrid:
         counts = search.count(self._asked(batch.array, len(batch), radii, exclude_self, group=group)).numpy()
         return self._blocks(batch, radii, exclude_self, order, counts, budget, group)
 
-    @undifferentiable
-    @needs(lambda self, **given: _list_bytes(self, **given, neighbor_bytes=search.BYTES_PER_NEIGHBOR + 9), late=True)
-    @on_snapshot
+    @query(memory=lambda self, **given: _list_bytes(self, **given, neighbor_bytes=search.BYTES_PER_NEIGHBOR + 9))
     def pairs(self, *, radius: float | None = None) -> Pairs:
         """Find all pairs of points within the radius of each other, each pair once; in groups, of one group.
 
@@ -662,10 +663,13 @@ class NeighborGrid:
         launcher.launch(kernels.pair_fill_kernel, self._count, given, [pairs, lengths], self._device)
         return Pairs(home.to_caller(pairs), home.to_caller(lengths))
 
-    @differentiable("geokit.points.search.gradients:NEAREST", "queries")
-    @replayed()
-    @needs(lambda self, queries=None, k=1, **_: (60 + 12 * k) * self._asked_rows(queries), late=True)
-    @on_snapshot
+    @query(
+        "queries",
+        gradient="..search.gradients:NEAREST",
+        is_replayed=True,
+        least_rows=LEAST_QUERIES_ON_GPUS,
+        memory=lambda self, queries=None, k=1, **_: (60 + 12 * k) * self._asked_rows(queries),
+    )
     def knn(
         self, queries: Rows | None = None, k: int = 1, *, exclude_self: bool = False, groups: Rows | None = None
     ) -> KNearest:
@@ -696,10 +700,13 @@ class NeighborGrid:
         """
         return self._nearest(queries, k, np.inf, exclude_self, groups)
 
-    @differentiable("geokit.points.search.gradients:NEAREST", "queries")
-    @replayed()
-    @needs(lambda self, queries=None, k=1, **_: (60 + 12 * k) * self._asked_rows(queries), late=True)
-    @on_snapshot
+    @query(
+        "queries",
+        gradient="..search.gradients:NEAREST",
+        is_replayed=True,
+        least_rows=LEAST_QUERIES_ON_GPUS,
+        memory=lambda self, queries=None, k=1, **_: (60 + 12 * k) * self._asked_rows(queries),
+    )
     def hybrid(
         self,
         queries: Rows | None = None,
@@ -1023,16 +1030,6 @@ def _require_near(farthest: float, cell: NDArray[np.float64], name: str) -> None
         )
 
 
-# Neighbors of points on a GPU are found in less time than it takes to copy the points to another one, unless there are
-# very many.
-@shares(
-    {"count": 40_000_000} | dict.fromkeys(("radius_search", "neighbor_list", "knn", "hybrid"), 1 << 24),
-    count=1,
-    radius_search=1,
-    neighbor_list=1,
-    knn=1,
-    hybrid=1,
-)
 class _GridOnDevices(OnDevices, NeighborGrid):
     """A grid with a replica on each of several devices."""
 

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from geokit.core import launcher
 from geokit.core.base.object_cache import CacheAttribute
-from geokit.core.gradients.differentiable import differentiable, of_constants
+from geokit.core.gradients.differentiable import of_constants
 from geokit.core.interop import user_arrays
 from geokit.core.interop.types import Device, MeshLike, Rows
-from geokit.core.launches.replay import replayed
-from geokit.core.memory.needs import file_size, needs, rows
+from geokit.core.memory.needs import file_size, needs
 from geokit.core.memory.pinned import host_flags
+from geokit.core.query.ask import query
 from geokit.core.require import require_count, require_items, require_text
 from geokit.errors import DeviceMemoryError, FileFormatError, InputError
 from geokit.volume._io import load_all, save
@@ -144,9 +144,7 @@ class AdaptiveSDF:
         """The 99.9th percentile of those errors [world], or None if unknown."""
         return self.levels[0].info.achieved_error_999
 
-    @differentiable("geokit.volume.sampling.gradients:ADAPTIVE", "points")
-    @replayed()
-    @needs(lambda self, points, **_: 12 * rows(points), late=True)
+    @query("points", gradient="..sampling.gradients:ADAPTIVE", is_replayed=True, row_bytes=12)
     def sample(self, points: Rows, *, device: Device = None) -> Any:
         """Signed distance at each point, negative inside.
 
@@ -163,8 +161,7 @@ class AdaptiveSDF:
         """
         return self._answer(points, device, gradient=False)
 
-    @replayed()
-    @needs(lambda self, points, **_: 28 * rows(points), late=True)
+    @query("points", is_replayed=True, row_bytes=28)
     def gradient(self, points: Rows, *, device: Device = None) -> Any:
         """Gradient of the interpolant of :meth:`sample` at each point; next to the surface it is close to the normal.
 

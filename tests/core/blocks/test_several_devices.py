@@ -177,7 +177,7 @@ def test_rows_on_a_gpu_are_shared_if_there_are_very_many(
     volume.hessian(POINTS, device=SHARED)
     assert parts_asked == []
     # So far away that each row is answered at once.
-    many = np.full((2 * several_devices.LEAST_ROWS_ON_GPUS, 3), 9.0)
+    many = np.full((2 * several_devices.LEAST_ON_GPUS, 3), 9.0)
     surface.contains(many)
     surface.raycast(many, many + 1.0)
     grid.count(many)

@@ -17,6 +17,7 @@ import geokit as gk
 from benchmarks.catalog import mesh_catalog
 from geokit.core.base.object_cache import CacheAttribute
 from geokit.core.launches import replay
+from geokit.core.query import ask
 from geokit.errors import InputError
 from tests.support.devices import DEVICES
 
@@ -300,14 +301,14 @@ def test_a_query_that_depends_on_its_rows_between_launches_is_not_replayed(repla
     class Asked:
         _cache = CacheAttribute()
 
-    @replay.replayed()
-    def query(asked, rows):
+    @ask.query("rows", is_replayed=True)
+    def total(asked, rows):
         replay.refuse()
         return rows.sum(axis=1)
 
     asked = Asked()
     for k in range(5):
-        assert query(asked, point(k, 1, 1)).tolist() == [k + 2]
+        assert total(asked, point(k, 1, 1)).tolist() == [k + 2]
     assert not replays
 
 

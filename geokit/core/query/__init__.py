@@ -1,0 +1,1 @@
+"""What happens to an array that a query is asked: one page, for all queries."""
