@@ -351,13 +351,7 @@ def _load_mesh(source: Path, options: dict[str, Any]) -> TriangleMesh:
 
 
 def _mesh_to_mesh(
-    source: Path,
-    target: Path,
-    tolerance: float | None,
-    device: str | None,
-    options: dict[str, Any],
-    *,
-    quiet: bool,
+    source: Path, target: Path, tolerance: float | None, device: str | None, options: dict[str, Any], *, quiet: bool
 ) -> dict[str, Any]:
     from geokit.mesh import save, simplify
 

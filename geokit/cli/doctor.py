@@ -18,7 +18,6 @@ from geokit.cli._console import note, plain, print_facts, print_json, print_tabl
 
 __all__ = ["doctor"]
 
-WORKS = "works"
 # Characters of a line of package versions.
 WIDTH = 110
 # A software renderer on a busy machine takes seconds to start.

@@ -75,13 +75,7 @@ def box(target: Body, /, *, size: Point, center: Center = (0, 0, 0), common: Com
 
 @app.command
 def sphere(
-    target: Body,
-    /,
-    *,
-    radius: float,
-    segments: int = 48,
-    center: Center = (0, 0, 0),
-    common: Common = DEFAULTS,
+    target: Body, /, *, radius: float, segments: int = 48, center: Center = (0, 0, 0), common: Common = DEFAULTS
 ) -> None:
     """Write a sphere.
 
@@ -209,13 +203,7 @@ def split(source: Source, target: Target, /, *, by: str = "components", common: 
 
 @app.command
 def keep_largest(
-    source: Source,
-    target: Changed,
-    /,
-    *,
-    count: int = 1,
-    share: float | None = None,
-    common: Common = DEFAULTS,
+    source: Source, target: Changed, /, *, count: int = 1, share: float | None = None, common: Common = DEFAULTS
 ) -> None:
     """Keep the connected components with the largest area.
 

@@ -6,10 +6,10 @@ from fractions import Fraction
 
 import numpy as np
 
+from geokit.accuracy.reference import mesh
 from geokit.accuracy.reference.mesh import (
     ClosestReference,
     RayReference,
-    all_ray_hits,
     closest_point,
     first_hit,
     k_nearest,
@@ -51,6 +51,23 @@ __all__ = [
     "trilinear_gradient",
     "winding_number",
 ]
+
+
+def all_ray_hits(
+    vertices: np.ndarray, faces: np.ndarray, origins: np.ndarray, directions: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Parameters t (N, T), inf for a miss, and barycentric (N, T, 3) of each ray on each triangle, edges included.
+
+    A ray hits if it passes all three edges on the same side; t is in units of the direction's length. Triangles without
+    area are never hit.
+    """
+    corners = mesh._corners(vertices, faces)
+    origins, directions = np.asarray(origins, np.float64), np.asarray(directions, np.float64)
+    times = np.full((len(origins), len(corners)), np.inf)
+    weights = np.zeros((len(origins), len(corners), 3))
+    for rows in mesh._blocks(len(origins), len(corners)):
+        times[rows], weights[rows] = mesh._crossings(corners, origins[rows][:, None], directions[rows][:, None])
+    return times, weights
 
 
 def closest_on_segments(a: np.ndarray, b: np.ndarray, queries: np.ndarray) -> np.ndarray:

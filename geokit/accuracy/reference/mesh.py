@@ -19,7 +19,6 @@ __all__ = [
     "ClosestReference",
     "PlaneReference",
     "RayReference",
-    "all_ray_hits",
     "closest_point",
     "face_normals",
     "first_hit",
@@ -148,23 +147,6 @@ def signed_distance(vertices: ArrayLike, faces: ArrayLike, queries: ArrayLike) -
     """Closest distance (N,), negative where the winding number exceeds one half."""
     distance = closest_point(vertices, faces, queries).distance
     return np.where(winding_number(vertices, faces, queries) > 0.5, -distance, distance)
-
-
-def all_ray_hits(
-    vertices: ArrayLike, faces: ArrayLike, origins: ArrayLike, directions: ArrayLike
-) -> tuple[Floats, Floats]:
-    """Parameters t (N, T), inf for a miss, and barycentric (N, T, 3) of each ray on each triangle, edges included.
-
-    A ray hits if it passes all three edges on the same side; t is in units of the direction's length. Triangles without
-    area are never hit.
-    """
-    corners = _corners(vertices, faces)
-    origins, directions = np.asarray(origins, np.float64), np.asarray(directions, np.float64)
-    times = np.full((len(origins), len(corners)), np.inf)
-    weights = np.zeros((len(origins), len(corners), 3))
-    for rows in _blocks(len(origins), len(corners)):
-        times[rows], weights[rows] = _crossings(corners, origins[rows][:, None], directions[rows][:, None])
-    return times, weights
 
 
 def first_hit(

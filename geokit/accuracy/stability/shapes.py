@@ -22,7 +22,6 @@ __all__ = [
     "sphere_distance",
     "thin_plate",
     "torus",
-    "torus_distance",
     "without_cap",
     "without_faces",
 ]
@@ -174,11 +173,6 @@ def box_distance(points: NDArray[np.float64], lower: NDArray, upper: NDArray) ->
 def sphere_distance(points: NDArray[np.float64], radius: float = 1.0) -> NDArray[np.float64]:
     """Signed distance (N,) to the true sphere about the origin, negative inside [world]."""
     return np.linalg.norm(points, axis=1) - radius
-
-
-def torus_distance(points: NDArray[np.float64], major: float = 1.0, minor: float = 0.35) -> NDArray[np.float64]:
-    """Signed distance (N,) to the true torus about the z axis, negative inside [world]."""
-    return np.hypot(np.hypot(points[:, 0], points[:, 1]) - major, points[:, 2]) - minor
 
 
 def _areas(mesh: TriangleMesh) -> NDArray[np.float64]:

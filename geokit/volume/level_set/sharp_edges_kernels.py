@@ -28,8 +28,7 @@ MOST_BENT = wp.constant(wp.float64(0.3))
 FOOT_ERROR = wp.constant(wp.float64(0.1))
 # Distances that differ by less [voxels] are left as they are.
 CHANGE = wp.constant(wp.float64(0.1))
-# Along each axis, voxels of the window around a cell whose tangent planes bound the body there.
-WINDOW = wp.constant(4)
+# Most voxels whose tangent planes bound the body in a cell: a window of four along each axis.
 MOST_PLANES = wp.constant(64)
 # Distance [voxels] between such a voxel and the cell's center, squared.
 FARTHEST_SQUARED = wp.constant(wp.float64(2.3 * 2.3))

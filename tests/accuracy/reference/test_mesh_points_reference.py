@@ -13,6 +13,7 @@ import pytest
 from benchmarks.catalog import mesh_catalog
 from geokit.accuracy.reference import mesh as reference
 from geokit.accuracy.reference import points as reference_points
+from tests.support.reference import all_ray_hits
 
 # A few roundings of the extent of the data, which is at most 4 here.
 ROUNDING = 4e-15
@@ -149,7 +150,7 @@ def test_triangles_that_are_ruled_out_are_not_the_answer(mesh, monkeypatch):
         np.testing.assert_array_equal(one, other)
     for one, other in zip(hits, reference.first_hit(mesh.vertices, mesh.faces, queries, directions), strict=True):
         np.testing.assert_array_equal(one, other)
-    times, _ = reference.all_ray_hits(mesh.vertices, mesh.faces, queries, directions)
+    times, _ = all_ray_hits(mesh.vertices, mesh.faces, queries, directions)
     np.testing.assert_array_equal(hits.t, times.min(axis=1))
     assert np.isfinite(hits.t).any()
 
