@@ -116,7 +116,8 @@ def load(
             limit applies.
         memory_limit: Largest size of the decompressed content [bytes]; None is a hundred times the file's size, at
             least 1 GiB, and at most half of the free memory. The process that reads a .vdb may take twice as much.
-            A dense file that is not compressed has no limit but the memory.
+            Of a compressed dense file the copies of what is read at a time, eight planes, count too. One that is not
+            compressed has no limit but the memory.
 
     Returns:
         The grid; values, transform and metadata as in the file.

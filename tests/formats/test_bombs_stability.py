@@ -102,6 +102,21 @@ def _tiff(path):
     tifffile.imwrite(path, itertools.repeat(page, count), **how)
 
 
+@pytest.mark.parametrize(("pages", "kind"), [(1, "u1"), (8, "u1"), (1, "f4")])
+def test_pages_that_are_all_of_the_file_count_with_their_copies(tmp_path, pages, kind):
+    """What is read at a time is a page, or eight: three to four times it is in memory."""
+    tifffile = pytest.importorskip("tifffile")
+    side = 4096 // int(np.sqrt(pages))
+    size = pages * side**2 * np.dtype(kind).itemsize
+    page = zlib.compress(bytes(size // pages))
+    how = {"shape": (pages, side, side), "dtype": kind, "compression": "zlib", "rowsperstrip": side}
+    tifffile.imwrite(tmp_path / "a.tif", itertools.repeat(page, pages), photometric="minisblack", **how)
+    with pytest.raises(DeviceMemoryError, match="its content needs") as caught:
+        volume.load(tmp_path / "a.tif", memory_limit=2 * size)
+    assert caught.value.need == 4 * size
+    volume.load(tmp_path / "a.tif", memory_limit=4 * size)
+
+
 BOMBS = {
     "points.npz": (_npz, "points.load"),
     "rays.npz": (_npz, "points.load_rays"),

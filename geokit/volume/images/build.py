@@ -36,6 +36,8 @@ __all__ = ["info_of_image", "volume_of_image"]
 # A value is taken for the background if more than this share of the first slice's border has it.
 LEAST_SHARE = 0.5
 INT32 = np.iinfo(np.int32)
+# Copies of a block, at most, while leaves are made of it: as read, joined, in the order and type of leaves, and masks.
+COPIES = 4
 # Bytes that NumPy counts.
 LARGEST = 1 << 62
 
@@ -91,7 +93,8 @@ def volume_of_image(
             the border of its first slice has, else 0.
         tolerance: As of ``from_dense``.
         grid_type: Type of the grid; None for that of the values.
-        limit: Largest size of the decompressed voxels [bytes]; those of uncompressed files are bounded by the file.
+        limit: Largest size [bytes] of the decompressed voxels, and of the copies of a block of them; those of
+            uncompressed files are bounded by the file.
     Raises:
         FileFormatError: No grid holds such values, or they have no place.
         InputError: The grid's type does not exist, or does not hold such voxels or the background.
@@ -100,6 +103,11 @@ def volume_of_image(
     if image.packed:
         require_content(path, image.byte_count, limit)
     plan = _plan(image, path, grid_type)
+    # A page, or eight, may be all of the file. Blocks of the usual size are no matter.
+    length = image.shape[image.axis]
+    share = min(_thickness(image, plan), length) / length
+    if image.packed and share * math.prod(image.shape) > VOXELS_AT_A_TIME:
+        require_content(path, int(COPIES * share * image.byte_count), limit)
     blocks = _counted(_blocks(image, path, plan), path)
     first = next(blocks)
     layout, level_set = plan.layout, plan.grid_class == "level set"
@@ -183,14 +191,20 @@ def _metadata(image: Image) -> Any:
     return MappingProxyType({key: text for key, text in ((UNIT, image.unit), (SPACE, image.space)) if text})
 
 
+def _thickness(image: Image, plan: _Plan) -> int:
+    """Planes of a block, but for the first, which ends where a leaf does."""
+    length = image.shape[image.axis]
+    # In a level set inner tiles need the nodes of leaves that may lie in another block.
+    if plan.grid_class == "level set" and plan.layout.name != "float":
+        return length + 8
+    plane = max(1, math.prod(image.shape) // length)
+    return 8 * max(1, VOXELS_AT_A_TIME // (8 * plane))
+
+
 def _blocks(image: Image, path: Path, plan: _Plan) -> Iterator[tuple[NDArray[Any], NDArray[np.int64]]]:
     """The voxels in blocks that begin where leaves do, with their first index."""
     axis, length = image.axis, image.shape[image.axis]
-    start = plan.start
-    plane = max(1, math.prod(image.shape) // length)
-    # In a level set inner tiles need the nodes of leaves that may lie in another block.
-    typed_level_set = plan.grid_class == "level set" and plan.layout.name != "float"
-    thick = length + 8 if typed_level_set else 8 * max(1, VOXELS_AT_A_TIME // (8 * plane))
+    start, thick = plan.start, _thickness(image, plan)
     parts: list[NDArray[Any]] = []
     at, have, goal = 0, 0, thick - int(start[axis]) % 8
     for slab in image.slabs():
