@@ -95,8 +95,8 @@ def from_mesh_file(
         GridInfo of the grid in ``out``. Its metadata say "geokit:source" (the file), "geokit:source_sha256" (of the
         triangles' corners), "geokit:voxel_size", "geokit:version", "geokit:sign_method" and "geokit:sign_reason".
     Raises:
-        InputError: An argument is out of range, the mesh has no faces, is open or not wound alike, or the voxels are
-            too small to be numbered.
+        InputError: An argument is out of range, the mesh has no faces, is open or not wound alike, or the voxels of
+            the band are too many to be numbered.
         FileAccessError: A file is missing, or cannot be written, or the disk has no room for the grid.
         FileFormatError: The mesh file is text, damaged, or has other faces than triangles.
         DeviceMemoryError: More triangles lie near 8^3 voxels than fit into the memory.
@@ -135,12 +135,13 @@ def from_mesh_file(
                 "give sign='none', or thickness"
             )
         lattice = CellLattice(voxel_size, index_translation(known.bounds, voxel_size), shape.reach)
-        across = float((known.bounds[1] - known.bounds[0]).max() + 2.0 * shape.reach) / voxel_size
+        extent = float((known.bounds[1] - known.bounds[0]).max())
+        across = (extent + 2.0 * shape.reach) / voxel_size
         if not across < MOST_TILES * TILE_VOXELS:
-            raise InputError(
-                f"voxel_size: {voxel_size:g} makes the band {across:.3g} voxels across, more than can be counted; use "
-                f"at least {1.05 * voxel_size * across / (MOST_TILES * TILE_VOXELS):.2g}"
-            )
+            what, enough = "voxel_size", f"at least {1.05 * voxel_size * across / (MOST_TILES * TILE_VOXELS):.2g}"
+            if 2.0 * shape.reach > extent:  # larger voxels make a band of as many voxels no smaller
+                what, enough = "half_width", "a smaller half_width or thickness"
+            raise InputError(f"{what}: the band is {across:.3g} voxels across, more than can be counted; use {enough}")
         require_room(
             target,
             _least_leaves(known.area, shape, voxel_size) * 2 * LEAF_BYTES,
