@@ -29,11 +29,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         came.append(INTERRUPTED)
         signal.default_int_handler(*at)
 
+    def raise_again(dropped: Any) -> None:
+        # Python drops what comes within __del__. The system's timer sends it once more, when that has ended.
+        if dropped.exc_type is KeyboardInterrupt:
+            signal.setitimer(signal.ITIMER_REAL, 1e-3)
+        else:
+            sys.__unraisablehook__(dropped)
+
     if arguments is None:
         # Products here are small, and a limit of processes may leave no room for threads of BLAS.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
             signal.signal(signal.SIGINT, interrupt)  # libraries may catch what it raises, and go on
+            signal.signal(signal.SIGALRM, interrupt)
+            sys.unraisablehook = raise_again
     with contextlib.suppress(KeyboardInterrupt):
         from geokit.cli._run import run
 
@@ -59,7 +68,8 @@ def _open_streams() -> None:
 
 def _end(code: int) -> None:
     """End the process as Python does, but take no modules down: a library that was interrupted may crash then."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for number in (signal.SIGINT, signal.SIGALRM):
+        signal.signal(number, signal.SIG_IGN)
     try:
         threading._shutdown()  # type: ignore[attr-defined]
         atexit._run_exitfuncs()
