@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import signal
 import subprocess
@@ -12,7 +13,7 @@ import time
 import pytest
 
 from geokit._packages import require_package
-from geokit.cli._batches import worker
+from geokit.cli._batches import schedule, worker
 from geokit.cli._console import step
 from geokit.errors import WorkerError
 from tests.cli.conftest import ROOT, SECONDS
@@ -28,6 +29,10 @@ def started(*arguments, **options):
         [sys.executable, "-m", "geokit", *map(str, arguments)], text=True,
         env={**os.environ, "PYTHONPATH": str(ROOT)}, **options,
     )  # fmt: skip
+
+
+def refused_thread(_):
+    raise RuntimeError("can't start new thread")
 
 
 def interruptible():
@@ -82,6 +87,26 @@ def test_an_interrupt_that_a_library_catches_is_one(caught):
     assert (done.returncode, done.stderr) == (130, "geokit: interrupted\n")
 
 
+def test_an_interrupt_that_comes_within_del_ends_the_command():
+    """Python drops it there, and the command would go on to its end."""
+    code = (
+        "import signal, time, geokit.cli, geokit.cli._run as verbs\n"
+        "class Freed:\n"
+        "    def __del__(self): signal.raise_signal(signal.SIGINT)\n"
+        "def run(_):\n"
+        "    Freed()\n"
+        "    for _ in range(1000): time.sleep(0.01)\n"
+        "    print('went on')\n"
+        "verbs.run = run\n"
+        "raise SystemExit(geokit.cli.main())\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=SECONDS, preexec_fn=interruptible,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "geokit: interrupted\n")
+
+
 def test_an_import_is_not_divided(tmp_path, monkeypatch):
     """What catches all errors, as trimesh does, would take the interrupt for a package that is missing."""
     (tmp_path / "greedy.py").write_text(
@@ -125,10 +150,34 @@ def test_a_process_that_cannot_be_started_is_no_fault_of_the_file(monkeypatch):
         worker._Process(1).run(batch, "a.obj")
 
 
-def test_a_step_needs_no_thread(monkeypatch):
-    def refuse(_):
-        raise RuntimeError("can't start new thread")
+def test_a_batch_whose_pool_gets_no_thread_ends_by_name(monkeypatch):
+    monkeypatch.setattr("threading.Thread.start", refused_thread)
+    with (
+        pytest.raises(WorkerError, match=r"process or thread cannot be started \(can't start new thread\).*ulimit -u"),
+        schedule.local_workers(1) as workers,
+    ):
+        workers.submit({}, ["a.obj"], set())
 
-    monkeypatch.setattr("threading.Thread.start", refuse)
+
+def test_a_task_that_gets_no_thread_at_its_start_answers_lost():
+    code = (
+        "import threading\n"
+        'def refuse(_): raise RuntimeError("can\'t start new thread")\n'
+        "threading.Thread.start = refuse\n"
+        "from geokit.cli._batches.task import main\n"
+        "main()\n"
+    )
+    job = {"steps": [], "staging": "s", "input": "a.obj"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], input=json.dumps(job) + "\n", capture_output=True, text=True, timeout=SECONDS,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    record = json.loads(done.stdout)
+    assert (record["input"], record["status"]) == ("a.obj", "lost"), done.stderr
+    assert "can't start new thread" in record["error"]["message"]
+
+
+def test_a_step_needs_no_thread(monkeypatch):
+    monkeypatch.setattr("threading.Thread.start", refused_thread)
     with step("counting"):
         pass

@@ -10,7 +10,7 @@ from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
-from geokit.cli._batches.worker import about_here, end_processes, run_files, set_aside, versions
+from geokit.cli._batches.worker import about_here, end_processes, run_files, set_aside, unstarted, versions
 from geokit.distributed._cluster import connected
 from geokit.errors import FileAccessError, GeokitError, WorkerError
 
@@ -24,7 +24,7 @@ TASKS_PER_SECOND = 500.0
 TASK_SECONDS = 0.5
 # The last tasks are small, so that no worker has much to do when the others have ended.
 SHARE = 4
-# Times that a file is asked for again, when its worker has no room, or other versions, or its folder went away.
+# Times that a file is asked for again: its worker has no room, no process, or other versions, or its folder went away.
 MOVES = 3
 # A cluster without workers is given up after twice this time [s].
 LONELY = 60.0
@@ -50,9 +50,11 @@ def local_workers(jobs: int) -> Iterator[Workers]:
     pool = ThreadPoolExecutor(jobs, "batch")
     try:
         yield Workers(lambda batch, sources, _: pool.submit(run_files, batch, sources), lambda: jobs, float("inf"))
-    except BaseException:
+    except BaseException as error:
         pool.shutdown(wait=False, cancel_futures=True)
         end_processes()
+        if why := unstarted(error):  # it is of the pool
+            raise WorkerError(why) from error
         raise
     finally:
         pool.shutdown()
@@ -111,11 +113,8 @@ def _refusal(found: dict[str, Any]) -> str:
             f"{where}: has {_said(found['versions'])}, and this batch {_said(versions())}; "
             "install the same there, or stop that worker"
         )
-    return (
-        ""
-        if found["sees"]
-        else f"{where}: cannot write to the folder of the batch; use an --out that all machines share"
-    )
+    told = f"{where}: cannot write to the folder of the batch; use an --out that all machines share"
+    return "" if found["sees"] else told
 
 
 def files_per_task(left: int, workers: int, seconds: float | None, rate: float) -> int:
@@ -225,7 +224,8 @@ def _moved(
     moves[record["input"]] = moves.get(record["input"], 0) + 1
     lost = record["status"] == "lost"
     if moves[record["input"]] > MOVES or not (record["worker"] or lost):
-        return WorkerError(message) if refused else FileAccessError(message)
+        is_worker = refused or record["error"].get("type") == "WorkerError"
+        return WorkerError(message) if is_worker else FileAccessError(message)
     if not lost and record["worker"] not in without:
         without.add(record["worker"])
         note(f"{record['worker']} gets no more files: {message}")

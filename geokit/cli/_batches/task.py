@@ -33,7 +33,7 @@ from typing import Any
 from geokit.accuracy.trials.peak_memory import reset_high_water, resident_status
 from geokit.cli._app import build_app, build_commands
 from geokit.cli._batches.recipe import GLOBAL, Step, is_made, names_of, output_name
-from geokit.cli._batches.worker import versions
+from geokit.cli._batches.worker import unstarted, versions
 from geokit.cli._console import at_end
 from geokit.cli._run import show_warning, usage_message
 from geokit.core.base.private_folder import private_folder
@@ -86,7 +86,7 @@ def run_task(steps: list[Step], source: str, staging: Path) -> dict[str, Any]:
 
     Returns:
         The record of the file: "done", "failed" with its error, or "no room" or "lost" (somebody has removed its
-        folder), which are not committed.
+        folder, or the machine gave no process or thread), which are not committed.
     """
     started, key = time.perf_counter(), key_of(source)
     done = staging / DONE / key
@@ -105,6 +105,8 @@ def run_task(steps: list[Step], source: str, staging: Path) -> dict[str, Any]:
         record["peak_bytes"] = resident_status("VmHWM")
         if record["status"] == "no room":
             raise OSError(errno.ENOSPC, record["error"]["message"])
+        if record["status"] == "lost":
+            return record
         with open(folder / RECORD, "w", encoding="utf-8") as file:
             json.dump(record, file)
             file.flush()
@@ -223,13 +225,15 @@ def _failure(error: BaseException, number: int, step: Step, folder: Path) -> dic
         expected = isinstance(error, (GeokitError, OSError))
         message = str(error) if expected else f"internal error: {type(error).__name__}: {error}"
     message = in_one_line(_scrubbed(message, folder), LONGEST)
-    cause: BaseException | None = error
-    full = False
-    while cause is not None and not full:
-        full = isinstance(cause, OSError) and cause.errno in NO_ROOM
-        cause = cause.__cause__ or cause.__context__
     told = {"type": type(error).__name__, "message": message, "step": number, "verb": step.verb}
-    return {"status": "no room" if full else "failed", "error": told}
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, OSError) and cause.errno in NO_ROOM:
+            return {"status": "no room", "error": told}
+        if why := unstarted(cause):
+            return {"status": "lost", "error": {"type": "WorkerError", "message": why}}
+        cause = cause.__cause__ or cause.__context__
+    return {"status": "failed", "error": told}
 
 
 def main() -> None:
@@ -244,7 +248,12 @@ def main() -> None:
         # Who asked is gone, even killed: nobody waits for what runs now, and it may be running elsewhere already.
         os._exit(1)
 
-    threading.Thread(target=listen, daemon=True).start()
+    try:
+        threading.Thread(target=listen, daemon=True).start()
+    except RuntimeError as error:  # without an answer, the first file would be blamed
+        told = {"type": "WorkerError", "message": unstarted(error) or str(error)}
+        answers.write(json.dumps({**json.loads(sys.stdin.readline()), "status": "lost", "error": told}) + "\n")
+        os._exit(1)
     with contextlib.suppress(queue.Empty):
         while True:
             job = json.loads(jobs.get(timeout=PATIENCE))

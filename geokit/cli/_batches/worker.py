@@ -6,10 +6,12 @@ One thread has one process, which is kept for the next files. On a cluster the t
 from __future__ import annotations
 
 import contextlib
+import errno
 import importlib.metadata
 import json
 import os
 import platform
+import resource
 import select
 import signal
 import socket
@@ -24,8 +26,9 @@ from typing import Any
 
 import geokit
 from geokit.errors import WorkerError
+from geokit.formats.reader.server import Ended
 
-__all__ = ["TRIES", "about_here", "end_processes", "run_files", "set_aside", "versions"]
+__all__ = ["TRIES", "about_here", "end_processes", "run_files", "set_aside", "unstarted", "versions"]
 
 # A file whose process ends this often is set aside.
 TRIES = 3
@@ -44,6 +47,17 @@ def versions() -> dict[str, str]:
     """What must be the same on all machines for the same answers."""
     python = ".".join(platform.python_version_tuple()[:2])
     return {"geokit": geokit.__version__, "warp": importlib.metadata.version("warp-lang"), "python": python}
+
+
+def unstarted(error: BaseException) -> str:
+    """What to tell where the machine gave no process or thread, and no file is to blame; "" for other errors."""
+    refused = isinstance(error, OSError) and error.errno == errno.EAGAIN
+    refused |= isinstance(error, Ended) and not error.started
+    # Where the address space is limited, it may be what the file needs.
+    if type(error) is RuntimeError and resource.getrlimit(resource.RLIMIT_AS)[0] == resource.RLIM_INFINITY:
+        refused = "can't start new thread" in str(error)
+    reason = getattr(error, "strerror", getattr(error, "reason", error))
+    return f"a process or thread cannot be started ({reason}); {REMEDY}" if refused else ""
 
 
 def about_here(staging: str) -> dict[str, Any]:
@@ -144,11 +158,8 @@ class _Process:
                 break
         else:
             return set_aside(source, f"{end} in {TRIES} tries")
-        return {
-            "input": source,
-            "status": "failed",
-            "error": {"type": error or "WorkerError", "message": f"{source}: {end}"},
-        }
+        told = {"type": error or "WorkerError", "message": f"{source}: {end}"}
+        return {"input": source, "status": "failed", "error": told}
 
     def _ask(self, line: bytes, memory: int | None, seconds: float | None) -> tuple[bytes, str, str]:
         """The answer to a job, or why there is none, and the type of that error if it is the file's."""
@@ -163,18 +174,11 @@ class _Process:
         while limited and not select.select([running.stdout], [], [], LOOK)[0]:
             used = 0 if memory is None else _resident(running.pid)
             if memory is not None and used > memory:
-                return (
-                    b"",
-                    f"needs more than the {memory >> 20} MiB of --task-memory (it has {used >> 20} MiB); raise it, "
-                    "or choose a larger voxel size",
-                    "DeviceMemoryError",
-                )
+                why = f"needs more than the {memory >> 20} MiB of --task-memory (it has {used >> 20} MiB); raise it"
+                return b"", f"{why}, or choose a larger voxel size", "DeviceMemoryError"
             if seconds is not None and time.monotonic() - start > seconds:
-                return (
-                    b"",
-                    f"takes more than the {seconds:g} s of --task-seconds; raise it, or mend the file",
-                    "WorkerError",
-                )
+                why = f"takes more than the {seconds:g} s of --task-seconds; raise it, or mend the file"
+                return b"", why, "WorkerError"
         answer = running.stdout.readline()
         if answer.endswith(b"\n"):
             return answer, "", ""

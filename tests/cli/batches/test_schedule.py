@@ -129,10 +129,11 @@ def test_an_error_of_a_task_ends_the_batch_and_what_waits_is_canceled() -> None:
 
 def test_a_file_whose_folder_went_away_is_asked_for_again() -> None:
     asked: Counter[str] = Counter()
+    kind = {"type": "FileAccessError"}
 
     def do(worker: str, sources: list[str]) -> list[dict[str, Any]]:
         asked.update(sources)
-        lost = {"status": "lost", "worker": worker, "error": {"message": "/out: others remove"}}
+        lost = {"status": "lost", "worker": worker, "error": {"message": "/out: others remove", **kind}}
         return [{**lost, "input": s} if asked[s] <= LOSSES and s == NAMES[3] else _done(worker, s) for s in sources]
 
     LOSSES = schedule.MOVES
@@ -140,4 +141,8 @@ def test_a_file_whose_folder_went_away_is_asked_for_again() -> None:
     asked.clear()
     LOSSES += 1
     with pytest.raises(FileAccessError, match="others remove"):
+        _run(do, [""])
+    asked.clear()
+    kind["type"] = "WorkerError"
+    with pytest.raises(WorkerError, match="others remove"):
         _run(do, [""])

@@ -16,6 +16,8 @@ from geokit.cli._batches.recipe import read_recipe
 from geokit.cli._batches.task import DONE, OUTPUTS, RECORD, WORK, key_of, run_task
 from geokit.cli._batches.worker import versions
 from geokit.core.base.private_folder import LOCK
+from geokit.errors import WorkerError
+from geokit.formats.reader import server
 from geokit.mesh import load
 
 RECIPE = '[[step]]\nverb = "convert"\noutput = "{stem}.off"\n'
@@ -113,6 +115,43 @@ def test_a_full_disk_is_no_fault_of_the_file(corners, recipe: Path, staging: Pat
     assert "No space left" in record["error"]["message"]
     assert str(staging.parent) in record["error"]["message"]
     assert [_left(staging), list((staging / DONE).iterdir())] == [[], []]
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        RuntimeError("can't start new thread"),
+        BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN)),
+        server.Ended(False, os.strerror(errno.EAGAIN)),
+    ],
+    ids=["thread", "process", "reader"],
+)
+def test_a_step_that_gets_no_thread_or_process_is_no_fault_of_the_file(
+    corners, recipe: Path, staging: Path, monkeypatch, error: Exception
+) -> None:
+    (source,), steps = corners(1), list(read_recipe(recipe).steps)
+
+    def refuse(_: object) -> str:
+        try:
+            raise error
+        except type(error):
+            raise WorkerError("what a reader makes of it") from None
+
+    monkeypatch.setattr(task, "hash_of", refuse)
+    record = run_task(steps, str(source), staging)
+    assert (record["status"], record["error"]["type"]) == ("lost", "WorkerError")
+    assert "cannot be started" in record["error"]["message"]
+    assert "ulimit -u" in record["error"]["message"]
+    assert list((staging / DONE).iterdir()) == []
+
+
+def test_a_reader_that_was_killed_is_another_matter(corners, recipe: Path, staging: Path, monkeypatch) -> None:
+    def killed(_: object) -> str:
+        raise WorkerError("killed from outside") from server.Ended(True, -9)
+
+    monkeypatch.setattr(task, "hash_of", killed)
+    record = run_task(list(read_recipe(recipe).steps), str(corners(1)[0]), staging)
+    assert (record["status"], record["error"]["message"]) == ("failed", "killed from outside")
 
 
 def test_a_task_whose_folder_goes_away_is_lost_and_its_file_does_not_fail(
