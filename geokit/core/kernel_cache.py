@@ -137,7 +137,7 @@ def _load_checked(module: Any, device: "wp.Device", block_dim: int, announce: Ca
         require_trusted(folder := binary.parent.parent)
         bits = OTHERS if folder.stat().st_mode & 0o011 else 0  # else nobody gets there, whatever the umask was
         for place in (binary.parent, *files):
-            if reason := distrust(place.lstat(), bits):
+            if reason := distrust(place, place.lstat(), bits):
                 raise OSError(errno.EIO, reason, str(place))
     if not binary.exists() and _is_full(binary.parent.parent):
         # LLVM ends the process when it cannot write an object.

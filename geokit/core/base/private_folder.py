@@ -152,7 +152,7 @@ def make_own(folder: Path) -> None:
     except FileExistsError:  # else nothing is asked: some file systems give all that is made another owner or mode
         found = os.lstat(folder)
         reason = "is a link" if stat.S_ISLNK(found.st_mode) else "is no folder"
-        _require(folder, distrust(found) if stat.S_ISDIR(found.st_mode) else reason)
+        _require(folder, distrust(folder, found) if stat.S_ISDIR(found.st_mode) else reason)
 
 
 def require_trusted(path: Path) -> None:
@@ -170,20 +170,23 @@ def require_trusted(path: Path) -> None:
             if stat.S_ISLNK(found.st_mode):
                 ways.append(place.parent / os.readlink(place))
                 is_safe = True
-            _require(place, distrust(found, 0 if is_safe else OTHERS))
+            _require(place, distrust(place, found, 0 if is_safe else OTHERS))
 
 
-def distrust(found: os.stat_result, bits: int = OTHERS) -> str:
+def distrust(place: Path, found: os.stat_result, bits: int = OTHERS) -> str:
     """Why somebody else than this user and root could have filled a folder or written a file; "" if nobody could."""
     # Whoever owns the top folder is root, also in a container that shows root by another number.
     if found.st_uid not in (os.geteuid(), os.stat("/").st_uid):
         return "belongs to another user"
     writers = found.st_mode & bits
-    return "may be written by other users" if writers and not (writers == 0o020 and _is_alone(found)) else ""
+    return "may be written by other users" if writers and not (writers == 0o020 and _is_alone(place, found)) else ""
 
 
-def _is_alone(found: os.stat_result) -> bool:
+def _is_alone(place: Path, found: os.stat_result) -> bool:
     """Whether the group is the owner's alone: where each user has one of the same name, folders let it write."""
+    with contextlib.suppress(OSError, AttributeError):  # there is no access control list, or no such thing
+        os.getxattr(place, "system.posix_acl_access")
+        return False  # the bits of the group are then what anyone in the list may have
     with contextlib.suppress(KeyError):
         owner, group = pwd.getpwuid(found.st_uid).pw_name, grp.getgrgid(found.st_gid)
         return group.gr_name == owner and {*group.gr_mem} <= {owner}

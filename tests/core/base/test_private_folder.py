@@ -8,6 +8,7 @@ import itertools
 import os
 import signal
 import stat
+import struct
 import subprocess
 import sys
 import tempfile
@@ -286,6 +287,33 @@ def test_a_group_of_the_owner_alone_may_write(shared, monkeypatch):
     monkeypatch.setattr(module.grp, "getgrgid", lambda _: others)
     with pytest.raises(InputError, match="may be written by other users"):
         require_trusted(folder)
+
+
+def test_another_user_who_may_write_by_an_access_control_list_is_seen(shared):
+    """The bits of the group are the most that a list grants, so that even an owner's own group is not trusted then."""
+    folder = place(shared / "folder", 0, 0o755)
+    require_trusted(folder)
+    # Version 2; tag, rights and number: owner, user 1001, group, mask, others.
+    rows = [(1, 7, -1), (2, 7, 1001), (4, 5, -1), (16, 7, -1), (32, 5, -1)]
+    entries = struct.pack("<I", 2) + b"".join(struct.pack("<HHi", *row) for row in rows)
+    try:
+        os.setxattr(folder, "system.posix_acl_access", entries)
+    except OSError as error:
+        pytest.skip(f"no access control lists here: {error}")
+
+    def write():
+        os.setgroups([])
+        os.setgid(1001)
+        os.setuid(1001)
+        (folder / "planted").touch()
+
+    forked(write, 60.0)
+    assert (folder / "planted").exists()
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o775
+    with pytest.raises(InputError, match="may be written by other users"):
+        require_trusted(folder)
+    folder.chmod(0o755)  # which is the mask now
+    require_trusted(folder)
 
 
 def test_another_machine_s_folder_is_removed_only_after_a_day(tmp_path):
