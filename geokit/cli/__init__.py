@@ -48,6 +48,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         code = run(list(sys.argv[1:] if arguments is None else arguments))
     if came or code == INTERRUPTED:
+        if arguments is None:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)  # it need not come again
         code = INTERRUPTED
         print("geokit: interrupted", file=sys.stderr, flush=True)
         if arguments is None:
@@ -68,8 +70,7 @@ def _open_streams() -> None:
 
 def _end(code: int) -> None:
     """End the process as Python does, but take no modules down: a library that was interrupted may crash then."""
-    for number in (signal.SIGINT, signal.SIGALRM):
-        signal.signal(number, signal.SIG_IGN)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         threading._shutdown()  # type: ignore[attr-defined]
         atexit._run_exitfuncs()
