@@ -1,18 +1,57 @@
 """C++ source of native kernel functions, kept in ``.inl`` files beside the kernel modules.
 
-A ``.inl`` file holds the statements of a function body; warp adds the function's signature and braces. The first
-comment of a file lists the names that it expects in scope and those that it defines. Concatenated files share a scope.
+A ``.inl`` file holds functions with parameters, one of the name of each function that is declared in Python
+(:func:`func_native`). Warp puts it within the function that it writes for the declaration, where C++ has no functions
+but lambdas: they are ``static constexpr`` and capture nothing, so they may stand outside of a function too. Compilers
+thus read each file by itself, with the declarations that ``python -m tests.sanitize.alone`` writes.
 
-A line ``#include "mesh/bvh/boxes.inl"`` in a file stands for the lines of that file; ``#include NAME`` for those of the
-file that ``defines`` gives a name: a hook of more than a line.
+Older files hold the statements of a function body (:func:`cpp`). The first comment of such a file lists the names that
+it expects in scope and those that it defines. Concatenated files share a scope.
+
+A line ``#include "mesh/bvh/boxes.inl"`` in a file stands for the lines of that file, once where that has
+``#pragma once``; ``#include NAME`` for those of the file that ``defines`` gives a name: a hook of more than a line.
 """
 
+import inspect
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from typing import Any
 
-__all__ = ["cpp"]
+import warp as wp
+
+__all__ = ["cpp", "func_native"]
 
 _PACKAGE = Path(__file__).resolve().parents[1]
+
+
+def func_native(
+    file: str, *, function: str = "", defines: dict[str, str] | None = None, **constants: int | float
+) -> Callable[[Callable[..., Any]], wp.Function]:
+    """Decorator of a function that calls the C++ function of its name, or of another name, in a file.
+
+    The C++ function has the parameters of the declaration. Structs have their names in Python; those that are in no
+    parameter of the declaration are ``auto``. CUDA does not compile what a file that ends in ``_cpu.inl`` holds. Warp
+    looks for a decorator of this name above what returns something: write ``@cpp.func_native(...)``.
+
+    Args:
+        file: As for :func:`cpp`.
+        function: Name of the C++ function, if it is not the declaration's.
+        defines: As for :func:`cpp`.
+        constants: As for :func:`cpp`.
+    """
+
+    def declare(declaration: Callable[..., Any]) -> wp.Function:
+        parameters = inspect.signature(declaration).parameters
+        types = {name: getattr(parameter.annotation, "key", "") for name, parameter in parameters.items()}
+        named = "\n".join(f"using {struct} = decltype({name});" for name, struct in types.items() if struct)
+        call = f"return {function or declaration.__name__}({', '.join(parameters)});"
+        text = f"\n{named}{cpp(file, defines=defines, **constants)}{call}\n"
+        if file.endswith("_cpu.inl"):
+            text = f"\n#if !defined(__CUDA_ARCH__){text}#endif\n"
+        return wp.func_native(text)(declaration)
+
+    return declare
 
 
 def cpp(*files: str, defines: dict[str, str] | None = None, **constants: int | float) -> str:
@@ -26,21 +65,27 @@ def cpp(*files: str, defines: dict[str, str] | None = None, **constants: int | f
     """
     lines = [f"constexpr {_type(value)} {name} = {_literal(value)};" for name, value in constants.items()]
     lines += [f"#define {name} {text}" for name, text in (defines or {}).items()]
+    once: set[str] = set()
     for file in files:
         # With #line, compilers and sanitizers report the file and line of the .inl file.
-        lines += _expanded(file, defines or {})
+        lines += _expanded(file, defines or {}, once)
     lines += [f"#undef {name.partition('(')[0]}" for name in defines or {}]
     return "\n" + "\n".join(lines) + "\n"
 
 
-def _expanded(file: str, defines: dict[str, str]) -> list[str]:
+def _expanded(file: str, defines: dict[str, str], once: set[str]) -> list[str]:
+    if file in once:
+        return []
     lines = [f'#line 1 "geokit/{file}"']
     for number, line in enumerate(_read(file).splitlines(), 1):
         name = line.strip().removeprefix("#include ")
         # A hook without a file stays as it is, for behind #ifdef.
         if line.lstrip().startswith("#include ") and (name in defines or name.startswith('"')):
-            lines += _expanded(defines.get(name, name).strip('"'), defines)
+            lines += _expanded(defines.get(name, name).strip('"'), defines, once)
             lines.append(f'#line {number + 1} "geokit/{file}"')
+        elif line == "#pragma once":
+            once.add(file)
+            lines.append("")
         else:
             lines.append(line)
     return lines

@@ -1,7 +1,8 @@
 // Vector types of the CPU branch: clang's, so arithmetic, comparison and ?: work lane by lane, and [j] is a lane.
 //
-// Expects nothing. Defines, on a CPU only, the types below (letter: element, digit: lanes) and two lambdas, mask_of and
-// mask_of_four. Put it first in a cpp() call, once for each function.
+// On a CPU only, the types below (letter: element, digit: lanes), mask_of and mask_of_four. Put it first in a cpp() call,
+// once for each function.
+#pragma once
 #if !defined(__CUDA_ARCH__)
 // The alignment is that of one element: a pointer to any element may be cast to a pointer to the vector that starts
 // there.
@@ -19,11 +20,11 @@ typedef unsigned u4 __attribute__((ext_vector_type(4), aligned(4)));
 typedef bool b8 __attribute__((ext_vector_type(8)));
 typedef bool b4 __attribute__((ext_vector_type(4)));
 // Bit j is set where lane j of a comparison of eight is true.
-auto mask_of = [](auto lanes) {
+static constexpr auto mask_of = [](auto lanes) {
     return (unsigned)__builtin_bit_cast(unsigned char, __builtin_convertvector(lanes, b8));
 };
 // The same for a comparison of four.
-auto mask_of_four = [](auto lanes) {
+static constexpr auto mask_of_four = [](auto lanes) {
     return (unsigned)__builtin_bit_cast(unsigned char, __builtin_convertvector(lanes, b4)) & 15u;
 };
 #endif

@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 
 from geokit.core import cpp as module
+from geokit.points.search.radius_cpu_kernels import count_share
+from tests.sanitize import generated
 
 OUTER = """// Adds.
     double sum = STEP;
@@ -57,3 +59,35 @@ def test_a_hook_without_a_file_stays_behind_its_condition(package):
     assert places["#include LATER"] == ("geokit/core/outer.inl", 5)
     assert "sum *= 3.0;" not in places
     assert places["return sum;"] == ("geokit/core/outer.inl", 7)
+
+
+def test_a_file_is_included_once_where_it_says_so(package, tmp_path):
+    (tmp_path / "core" / "inner.inl").write_text("#pragma once\n    sum += 2.0;")
+    (tmp_path / "core" / "twice.inl").write_text('#include "core/inner.inl"\n#include "core/outer.inl"\n    last();')
+    text = module.cpp("core/twice.inl", STEP=1.5)
+    assert text.count("sum += 2.0;") == 1
+    places = numbered(text)
+    assert places["sum += 2.0;"] == ("geokit/core/inner.inl", 2)
+    assert places["return sum;"] == ("geokit/core/outer.inl", 7)
+    assert places["last();"] == ("geokit/core/twice.inl", 3)
+    assert "#pragma" not in text
+
+
+def test_a_declaration_calls_the_function_of_its_name():
+    lines = count_share.native_snippet.split()
+    assert lines[:3] == ["#if", "!defined(__CUDA_ARCH__)", "using"]
+    assert "using Queries = decltype(queries);\n" in count_share.native_snippet
+    assert "return count_share(queries, grid, radius, self_count," in count_share.native_snippet
+    assert lines[-1] == "#endif"
+
+
+def test_lines_of_included_files_are_told_apart():
+    text = count_share.native_snippet.splitlines()
+    found = list(generated.regions(count_share.native_snippet))
+    assert {region.path.rsplit("/")[-1] for region in found} == {
+        "radius_cpu.inl", "simd.inl", "cell_along_cpu.inl", "sort_rows.inl"
+    }  # fmt: skip
+    for region in found:
+        lines = (generated.ROOT / region.path).read_text(encoding="utf-8").splitlines()
+        for k in range(region.count):
+            assert text[region.first - 1 + k] in (lines[region.line - 1 + k], "")

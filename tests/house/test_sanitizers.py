@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import os
+import shutil
+import subprocess
 from pathlib import Path
 
 import pytest
 
-from tests.sanitize import generated
+from tests.sanitize import alone, generated
 from tests.sanitize.__main__ import explained, sanitize
 from tests.sanitize.calls import NAMES
 from tests.sanitize.compiler import Clang, Fault, find_clang
+from tests.sanitize.tidy import PROGRAM
 
 pytestmark = pytest.mark.slow
 
@@ -85,3 +88,13 @@ def test_every_inl_file_is_compiled() -> None:
     compiled = generated.compiled_inl_files()
     dead = sorted(set(generated.inl_files()) - compiled)
     assert not dead, f"no kernel module holds {', '.join(dead)}"
+
+
+def test_files_of_functions_are_read_alone() -> None:
+    program = str(PROGRAM) if PROGRAM.exists() else shutil.which("clang-tidy")
+    if program is None:
+        pytest.skip("needs clang-tidy, which ./dev setup installs")
+    for path in alone.write():
+        command = [program, "--quiet", "--checks=-*,bugprone-infinite-loop", "-p", str(alone.BUILT), path]
+        run = subprocess.run(command, cwd=generated.ROOT, capture_output=True, text=True)
+        assert run.returncode == 0, f"{path}:\n{run.stdout}"

@@ -15,17 +15,18 @@ from geokit.core import launcher
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "geokit"
 
-MARKER = re.compile(r'^\s*#line 1 "(geokit/[^"]+\.inl)"\s*$')
+MARKER = re.compile(r'^\s*#line (?P<line>\d+) "(?P<path>geokit/[^"]+\.inl)"\s*$')
 # Warp writes this above each function that it translates.
 ORIGIN = re.compile(r"^// (.*\.py):(\d+)$")
 
 
 class Region(NamedTuple):
-    """Lines of a generated file that are one .inl file's: ``first`` of the generated file is line 1 of ``path``."""
+    """Lines of a generated file that are one .inl file's: ``first`` of the generated file is ``line`` of ``path``."""
 
     path: str
     first: int
     count: int
+    line: int
 
 
 def module_names() -> list[str]:
@@ -74,11 +75,16 @@ def source_beside(executable: Any) -> Path:
 
 def regions(text: str) -> Iterator[Region]:
     """Where a generated file holds .inl files: found by the #line directives of geokit/core/cpp.py."""
-    for number, line in enumerate(text.splitlines(), 1):
-        marker = MARKER.match(line)
-        if marker:
-            path = ROOT / marker[1]
-            yield Region(marker[1], number + 1, len(path.read_text(encoding="utf-8").rstrip("\n").split("\n")))
+    lines = text.splitlines()
+    markers = [(number, marker) for number, text in enumerate(lines, 1) if (marker := MARKER.match(text))]
+    # A file that includes another goes on behind it.
+    ends = [number for number, _ in markers[1:]] + [len(lines) + 1]
+    for (number, marker), end in zip(markers, ends, strict=False):
+        line = int(marker["line"])
+        left = len((ROOT / marker["path"]).read_text(encoding="utf-8").rstrip("\n").split("\n")) - line + 1
+        count = min(left, end - number - 1)
+        if count > 0:
+            yield Region(marker["path"], number + 1, count, line)
 
 
 def located(text: str, name: str) -> str:

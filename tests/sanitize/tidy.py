@@ -1,8 +1,8 @@
 """clang-tidy over the .inl files of kernels: ``python -m tests.sanitize.tidy [--changed]``.
 
-A .inl file is a piece of a function, so clang-tidy reads the modules that warp generates, as few as hold every file.
-Findings are named by the .inl file and its line; those in warp's own text are dropped. A module that was clean is not
-read again until it changes. ``--changed`` reads those files only that differ from main, or in ten commits on main.
+Most .inl files are pieces of a function, so clang-tidy reads the modules that warp generates, as few as hold every
+file. Findings are named by the .inl file and its line; those in warp's own text are dropped. A module that was clean is
+not read again until it changes. ``--changed`` reads those files only that differ from main, or in ten commits on main.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ def _place(match: re.Match[str], module: Generated) -> str | None:
     number = int(match["line"])
     for region in module.regions:
         if 0 <= number - region.first < region.count:
-            return f"{region.path}:{number - region.first + 1}:{match['column']}"
+            return f"{region.path}:{number - region.first + region.line}:{match['column']}"
     return None
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 
 wp.set_module_options({"enable_backward": False})
 
@@ -14,7 +14,7 @@ wp.set_module_options({"enable_backward": False})
 SHARE = wp.constant(1 << 10)
 
 
-@wp.func_native(cpp("points/search/bounding_box_cpu.inl"))
+@cpp.func_native("points/search/bounding_box_cpu.inl")
 def box_of(
     points: wp.array(dtype=Any),
     begin: wp.int32,

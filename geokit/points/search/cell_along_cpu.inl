@@ -1,8 +1,8 @@
-// The cell of a coordinate along an axis, equal to the result of cell_along in cells_kernels.
-//
-// Expects cells. Defines cell_along(axis, at).
+// The cell of a coordinate on one axis, and the cells of the group that is searched.
+#pragma once
 
-auto cell_along = [&](int axis, double at) -> int {
+// Equal to the result of cell_along in cells_kernels.
+static constexpr auto cell_along = [](const CellGrid& cells, int axis, double at) -> int {
     int i = cells.first_cut[axis];
     for (int last = cells.last_cut[axis]; i < last;) {
         const int middle = (i + last + 1) / 2;
@@ -12,4 +12,18 @@ auto cell_along = [&](int axis, double at) -> int {
     const auto& cut = cells.cut.data[i];
     const double top = cut[3] - 1.0, cell = (at - cut[0]) * cut[1];
     return (int)(cut[2]) + (int)(cell > 0.0 ? (cell < top ? cell : top) : 0.0);
+};
+
+// Puts the fields of a group in place of the grid's own; `entered` is the group whose fields `cells` has.
+static constexpr auto enter = [](const CellGrid& grid, int group, CellGrid& cells, int& entered) {
+    if (group == entered) return;
+    entered = group;
+    const auto& own = grid.groups.data[group];
+    cells.lower = own.lower;
+    cells.upper = own.upper;
+    cells.base = own.base;
+    cells.first_cut = own.first_cut;
+    cells.last_cut = own.last_cut;
+    cells.count_x = own.count_x;
+    cells.count_y = own.count_y;
 };

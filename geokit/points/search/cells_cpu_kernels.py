@@ -11,7 +11,7 @@ from typing import Any
 
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 from geokit.points.search.cells_kernels import CellGrid
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -20,14 +20,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 GATHERED = wp.constant(1 << 12)
 
 
-@wp.func_native(
-    cpp(
-        "core/simd.inl",
-        "points/search/cells_of_group_cpu.inl",
-        "points/search/cell_along_cpu.inl",
-        "points/search/cells_count_cpu.inl",
-    )
-)
+@cpp.func_native("points/search/cells_cpu.inl")
 def count(
     points: wp.array(dtype=Any),
     grid: CellGrid,
@@ -40,7 +33,7 @@ def count(
 ): ...
 
 
-@wp.func_native(cpp("points/search/cells_place_cpu.inl"))
+@cpp.func_native("points/search/cells_cpu.inl")
 def place(
     key: wp.array(dtype=wp.int32),
     share: wp.int32,
@@ -52,7 +45,7 @@ def place(
 ): ...
 
 
-@wp.func_native(cpp("points/search/cells_gather_cpu.inl"))
+@cpp.func_native("points/search/cells_cpu.inl")
 def gather(
     points: wp.array(dtype=Any),
     order: wp.array(dtype=wp.int32),

@@ -77,7 +77,7 @@ class CellGrid:
 
 @wp.func
 def cells_of_group(grid: CellGrid, group: wp.int32) -> CellGrid:
-    """The grid of one group; on a CPU see cells_of_group_cpu.inl."""
+    """The grid of one group; on a CPU see cell_along_cpu.inl."""
     own = grid
     cells = grid.groups[group]
     own.lower = cells.lower

@@ -9,7 +9,7 @@ holds a result is skipped, and no tolerance is needed.
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 from geokit.points.search.nearest_tree_kernels import LEAF, NONE, WIDTH, NearestQueries, NearestTree
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -18,21 +18,8 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 BLOCKS = wp.constant(8)
 # Stack of open nodes: each of at most nine levels leaves seven behind.
 STACK = 80
-# Nodes that a shared traversal may open without scanning a leaf for any query, and additional nodes for each leaf
-# scanned. Beyond them the queries are traversed one by one: they are far apart, or one reaches much farther than the
-# others.
-FREE_VISITS = 96
-VISITS_PER_USE = 2
 # Most candidates of a query at a time, for lists of 1024.
 CAPACITY = 1024 + 256 + 4 * int(LEAF)
-# Initial guess of the k-th squared distance, as a share of the largest one of the previous group. A larger guess finds
-# and sorts more than k points; a smaller one finds fewer, and the search is repeated.
-GUESS = 1.1
-# Margin for the roundings of a bound by the triangle inequality. Too small a bound is only a wrong guess.
-SLACK = 1.0 + 1e-12
-# Factor on a guess that was too small, and the number of times it is applied before only the caller's limit remains.
-WIDER = 4.0
-GUESSES = 3
 
 
 def _network(count: int) -> list[tuple[int, int]]:
@@ -55,29 +42,18 @@ def _exchanges(pairs: list[tuple[int, int]]) -> str:
 
 
 # CUDA has its own kernel, nearest_cuda_kernels, because its compiler has no vectors of doubles.
-@wp.func_native(
-    cpp(
-        "core/simd.inl",
-        "points/search/nearest_lists_cpu.inl",
-        "points/search/nearest_walk_cpu.inl",
-        "points/search/nearest_cpu.inl",
-        defines={
-            "SORT_SIXTEEN": _exchanges(_network(16)),
-            "MERGE_SIXTEEN": _exchanges([(i, i + step) for step in (8, 4, 2, 1) for i in range(16) if not i & step]),
-        },
-        LEAF=int(LEAF),
-        WIDTH=int(WIDTH),
-        NONE=int(NONE),
-        BLOCKS=int(BLOCKS),
-        STACK=STACK,
-        FREE_VISITS=FREE_VISITS,
-        VISITS_PER_USE=VISITS_PER_USE,
-        CAPACITY=CAPACITY,
-        GUESS=GUESS,
-        SLACK=SLACK,
-        WIDER=WIDER,
-        GUESSES=GUESSES,
-    )
+@cpp.func_native(
+    "points/search/nearest_cpu.inl",
+    defines={
+        "SORT_SIXTEEN": _exchanges(_network(16)),
+        "MERGE_SIXTEEN": _exchanges([(i, i + step) for step in (8, 4, 2, 1) for i in range(16) if not i & step]),
+    },
+    LEAF=int(LEAF),
+    WIDTH=int(WIDTH),
+    NONE=int(NONE),
+    BLOCKS=int(BLOCKS),
+    STACK=STACK,
+    CAPACITY=CAPACITY,
 )
 def nearest_of_group(tree: NearestTree, queries: NearestQueries, group: wp.int32): ...
 

@@ -8,7 +8,7 @@ of nearest_cpu_kernels, bit for bit. The code is plain C++ and also runs on a CP
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 from geokit.points.search.nearest_cpu_kernels import STACK
 from geokit.points.search.nearest_tree_kernels import LEAF, NONE, WIDTH, NearestQueries, NearestTree
 
@@ -18,33 +18,26 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 REGISTERS = 96
 
 
-def _nearest(form: str, **constants: int) -> str:
-    """C++ of a thread's search with one kind of list."""
-    return cpp(
-        "points/search/nearest_query_cuda.inl",
-        f"points/search/nearest_{form}_cuda.inl",
-        "points/search/nearest_cuda.inl",
-        LEAF=int(LEAF),
-        WIDTH=int(WIDTH),
-        NONE=int(NONE),
-        STACK=STACK,
-        **constants,
-    )
+def _nearest(length: int, function: str = "nearest_short"):
+    """C++ of a thread's search with a list of a length."""
+    constants = {"LEAF": int(LEAF), "WIDTH": int(WIDTH), "NONE": int(NONE), "STACK": STACK, "LENGTH": length}
+    return cpp.func_native("points/search/nearest_cuda.inl", function=function, **constants)
 
 
-@wp.func_native(_nearest("short_list", LENGTH=8))
+@_nearest(8)
 def nearest_8(tree: NearestTree, queries: NearestQueries, query: wp.int32): ...
 
 
-@wp.func_native(_nearest("short_list", LENGTH=16))
+@_nearest(16)
 def nearest_16(tree: NearestTree, queries: NearestQueries, query: wp.int32): ...
 
 
-@wp.func_native(_nearest("short_list", LENGTH=32))
+@_nearest(32)
 def nearest_32(tree: NearestTree, queries: NearestQueries, query: wp.int32): ...
 
 
-@wp.func_native(_nearest("heap"))
+# The length of a heap is that of the result.
+@_nearest(1, "nearest_many")
 def nearest_many(tree: NearestTree, queries: NearestQueries, query: wp.int32): ...
 
 

@@ -8,8 +8,8 @@ Every comparison uses the caller's float64 coordinates with explicit roundings, 
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
-from geokit.points.search.cells_kernels import MASK_BITS, CellGrid, cell_along, cell_key
+from geokit.core import cpp
+from geokit.points.search.cells_kernels import CellGrid, cell_along, cell_key
 
 # Fused multiply-adds would round the squared distance once instead of five times: the compiler would decide whether
 # points at exactly the radius are in or out.
@@ -83,25 +83,10 @@ def row_range(grid: CellGrid, box: CellBox, row: wp.int32) -> wp.vec2i:
     return wp.vec2i(begin, end)
 
 
-@wp.func_native(cpp("core/simd.inl", "points/search/within_mask.inl"))
-def within_mask_of(
-    x: wp.array(dtype=wp.float64),
-    y: wp.array(dtype=wp.float64),
-    z: wp.array(dtype=wp.float64),
-    begin: wp.int32,
-    count: wp.int32,
-    qx: wp.float64,
-    qy: wp.float64,
-    qz: wp.float64,
-    radius_squared: wp.float64,
-) -> wp.uint64: ...
-
-
-@wp.func
+@cpp.func_native("points/search/near.inl")
 def within_mask(grid: CellGrid, begin: wp.int32, end: wp.int32, q: wp.vec3d, radius_squared: wp.float64) -> wp.uint64:
     """Bit mask: bit k is set if the sorted point ``begin + k`` is within the radius; at most MASK_BITS points."""
-    count = wp.min(end - begin, MASK_BITS)
-    return within_mask_of(grid.x, grid.y, grid.z, begin, count, q[0], q[1], q[2], radius_squared)
+    ...
 
 
 # warp 1.19 has no such built-in.
@@ -179,7 +164,7 @@ def nearness_of(grid: CellGrid, q: wp.vec3d, radius: wp.float64) -> Nearness:
     return near
 
 
-@wp.func_native(cpp("points/search/near_distance.inl", "points/search/near_count.inl"))
+@cpp.func_native("points/search/near.inl")
 def near_count(
     grid: CellGrid, begin: wp.int32, end: wp.int32, near: Nearness, q: wp.vec3d, limit: wp.float64
 ) -> wp.int32:
@@ -187,7 +172,7 @@ def near_count(
     ...
 
 
-@wp.func_native(cpp("points/search/near_distance.inl", "points/search/near_mask.inl"))
+@cpp.func_native("points/search/near.inl")
 def near_mask(
     grid: CellGrid, begin: wp.int32, end: wp.int32, near: Nearness, q: wp.vec3d, limit: wp.float64
 ) -> wp.uint64:

@@ -257,7 +257,7 @@ def fill(
     """
     import warp as wp
 
-    from geokit.points.search.radius_cpu_kernels import FILL_KERNELS
+    from geokit.points.search.radius_cpu_kernels import FILL_OF
     from geokit.points.search.radius_cuda_kernels import fill_in_groups_kernel, fill_kernel
 
     device = asked.device
@@ -272,8 +272,8 @@ def fill(
     for part, (grid, queries, number) in enumerate(asked.parts):
         given = [queries, grid, asked.radius, own, offsets]
         if device.is_cpu:
-            given += asked.notes[part] or _room_for_notes(0, device)
-            launch_shares(FILL_KERNELS[order, distance.dtype], number, given, [indices, distance], device)
+            given += [*(asked.notes[part] or _room_for_notes(0, device)), order == "index"]
+            launch_shares(FILL_OF[distance.dtype], number, given, [indices, distance], device)
         else:
             kernel = fill_in_groups_kernel if has_groups(grid) else fill_kernel
             launcher.launch(kernel, number, given, [indices, distance], device)

@@ -11,7 +11,7 @@ from typing import Any
 
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 from geokit.points.search.cells_kernels import CellGrid
 from geokit.points.search.neighbors_kernels import (
     LARGEST_LOCAL,
@@ -38,27 +38,10 @@ NUMBERS = {
     "REACH_RELATIVE": float(REACH_RELATIVE),
     "REACH_ABSOLUTE": float(REACH_ABSOLUTE),
     "SHARE_SIZE": int(SHARE),
-    # Squares of radii beyond these vanish or overflow even in float64: float64 decides everything.
-    "LEAST_UNIT": 1e-140,
-    "LARGEST_UNIT": 1e140,
-    # Longer rows are sorted step by step: counting takes time quadratic in their length.
-    "RANKED": 128,
-    # Number of queries between the prefetch of a row and its write, and the most entries of a row that are prefetched.
-    "AHEAD": 4,
-    "PREFETCHED": 64,
 }
 
-RUNS = (
-    "core/simd.inl",
-    "points/search/cells_of_group_cpu.inl",
-    "points/search/cell_along_cpu.inl",
-    "points/search/radius_runs_cpu.inl",
-    "points/search/radius_keep_cpu.inl",
-)
-FILL = (*RUNS, "points/search/sort_by_index.inl", "points/search/radius_fill_cpu.inl")
 
-
-@wp.func_native(cpp(*RUNS, "points/search/radius_count_cpu.inl", **NUMBERS))
+@cpp.func_native("points/search/radius_cpu.inl", **NUMBERS)
 def count_share(
     queries: Queries,
     grid: CellGrid,
@@ -73,8 +56,8 @@ def count_share(
 ): ...
 
 
-@wp.func_native(cpp(*FILL, **NUMBERS, BY_INDEX=True))
-def fill_by_index(
+@cpp.func_native("points/search/radius_cpu.inl", **NUMBERS)
+def fill_share(
     queries: Queries,
     grid: CellGrid,
     radius: wp.array(dtype=wp.float64),
@@ -85,23 +68,7 @@ def fill_by_index(
     share: wp.int32,
     first_query: wp.int32,
     last_query: wp.int32,
-    out_index: wp.array(dtype=wp.int32),
-    out_distance: wp.array(dtype=Any),
-): ...
-
-
-@wp.func_native(cpp(*FILL, **NUMBERS, BY_INDEX=False))
-def fill_as_found(
-    queries: Queries,
-    grid: CellGrid,
-    radius: wp.array(dtype=wp.float64),
-    own: wp.int32,
-    offset: wp.array(dtype=wp.int64),
-    note: wp.array(dtype=wp.int32),
-    note_size: wp.int32,
-    share: wp.int32,
-    first_query: wp.int32,
-    last_query: wp.int32,
+    by_index: wp.bool,
     out_index: wp.array(dtype=wp.int32),
     out_distance: wp.array(dtype=Any),
 ): ...
@@ -129,7 +96,7 @@ def count_share_kernel(
 
 
 @wp.kernel
-def fill_by_index_kernel(
+def fill_share_kernel(
     first: int,
     queries: Queries,
     grid: CellGrid,
@@ -138,39 +105,18 @@ def fill_by_index_kernel(
     offset: wp.array(dtype=wp.int64),
     note_size: wp.int32,
     note: wp.array(dtype=wp.int32),
+    by_index: wp.bool,
     out_index: wp.array(dtype=wp.int32),
     out_distance: wp.array(dtype=Any),
 ):
-    """Neighbors of SHARE queries, each written from its offset on, by ascending index."""
+    """Neighbors of SHARE queries, each written from its offset on, by ascending index or in the order of the cells."""
     share = first + wp.tid()
     begin = share * SHARE
     end = wp.min(begin + SHARE, queries.index.shape[0])
-    fill_by_index(queries, grid, radius, own, offset, note, note_size, share, begin, end, out_index, out_distance)
+    fill_share(
+        queries, grid, radius, own, offset, note, note_size, share, begin, end, by_index, out_index, out_distance
+    )
 
 
-@wp.kernel
-def fill_as_found_kernel(
-    first: int,
-    queries: Queries,
-    grid: CellGrid,
-    radius: wp.array(dtype=wp.float64),
-    own: wp.int32,
-    offset: wp.array(dtype=wp.int64),
-    note_size: wp.int32,
-    note: wp.array(dtype=wp.int32),
-    out_index: wp.array(dtype=wp.int32),
-    out_distance: wp.array(dtype=Any),
-):
-    """Neighbors of SHARE queries, each written from its offset on, in the order of the cells."""
-    share = first + wp.tid()
-    begin = share * SHARE
-    end = wp.min(begin + SHARE, queries.index.shape[0])
-    fill_as_found(queries, grid, radius, own, offset, note, note_size, share, begin, end, out_index, out_distance)
-
-
-# By order of the rows and type of the distances: with float32 a third less is written.
-FILL_KERNELS = {
-    (order, real): wp.overload(kernel, {"out_distance": wp.array(dtype=real)})
-    for order, kernel in (("index", fill_by_index_kernel), ("any", fill_as_found_kernel))
-    for real in (wp.float64, wp.float32)
-}
+# By type of the distances: with float32 a third less is written.
+FILL_OF = {r: wp.overload(fill_share_kernel, {"out_distance": wp.array(dtype=r)}) for r in (wp.float64, wp.float32)}

@@ -6,7 +6,7 @@ from typing import Any
 
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 from geokit.points.search.cells_kernels import MASK_BITS, CellGrid, cells_of_group
 from geokit.points.search.neighbors_kernels import (
     Queries,
@@ -24,7 +24,7 @@ from geokit.points.search.neighbors_kernels import (
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
-@wp.func_native(cpp("points/search/sort_by_distance.inl"))
+@cpp.func_native("points/search/sort_rows.inl")
 def by_distance(
     begin: wp.int32, count: wp.int32, index: wp.array(dtype=wp.int32), distance: wp.array(dtype=wp.float64)
 ):
@@ -32,7 +32,7 @@ def by_distance(
     ...
 
 
-@wp.func_native(cpp("points/search/sort_by_index.inl", "points/search/sort_rows_together.inl"))
+@cpp.func_native("points/search/sort_rows.inl")
 def sort_together(
     begin: wp.int32,
     count: wp.int32,

@@ -4,15 +4,15 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 from geokit.points.search.cells_kernels import CellGrid
 from geokit.points.search.neighbors_kernels import Queries
-from geokit.points.search.radius_cpu_kernels import NUMBERS, RUNS, SHARE
+from geokit.points.search.radius_cpu_kernels import NUMBERS, SHARE
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
-@wp.func_native(cpp(*RUNS, "points/search/verlet_list_cpu.inl", **NUMBERS))
+@cpp.func_native("points/search/verlet_cpu.inl", **NUMBERS)
 def list_places(
     queries: Queries,
     grid: CellGrid,

@@ -6,7 +6,7 @@ from typing import Any
 
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 from geokit.points.search.periodic_kernels import PeriodicCell, fractions, is_before, translation
 
 # The squared distance and the position of an image are rounded term by term, as in a search.
@@ -41,7 +41,7 @@ class VerletLists:
     drift: wp.array(dtype=wp.vec3i)
 
 
-@wp.func_native(cpp("core/simd.inl", "points/search/verlet_row.inl", "points/search/verlet_count.inl"))
+@cpp.func_native("points/search/verlet.inl")
 def near_count(
     at: wp.array(dtype=wp.vec4d),
     near: wp.array(dtype=wp.int32),
@@ -53,7 +53,7 @@ def near_count(
 ) -> wp.int32: ...
 
 
-@wp.func_native(cpp("core/simd.inl", "points/search/verlet_row.inl", "points/search/verlet_fill.inl", PREFETCHED=64))
+@cpp.func_native("points/search/verlet.inl")
 def near_fill(
     at: wp.array(dtype=wp.vec4d),
     near: wp.array(dtype=wp.int32),
