@@ -31,19 +31,6 @@ static constexpr auto read_query = [](const NearestQueries& queries, int query, 
     return true;
 };
 
-// Calls offer(given, index) for the points of a leaf within the bound.
-static constexpr auto scan = [](const NearestTree& tree, const Query& q, int leaf, auto&& offer) {
-    const double* at = tree.positions.data + (size_t)leaf * 3 * LEAF;
-    const int* index = tree.index.data + (size_t)leaf * LEAF;
-    for (int i = 0; i < LEAF; ++i) {
-        const double dx = at[i] - q.x, dy = at[LEAF + i] - q.y, dz = at[2 * LEAF + i] - q.z;
-        const double given = (dx * dx + dy * dy) + dz * dz;
-        // The rest of the last leaf is NaN: every comparison with it is false.
-        if (given <= q.bound && index[i] != q.self && before(given, index[i], q.bound, q.bound_index))
-            offer(given, index[i]);
-    }
-};
-
 static constexpr auto outside = [](double lower, double upper, double value) -> double {
     const double below = lower - value, above = value - upper;
     const double most = below > above ? below : above;
@@ -53,7 +40,21 @@ static constexpr auto outside = [](double lower, double upper, double value) -> 
 // Calls offer(given, index), which tightens the bound, for every point that may be among the nearest.
 static constexpr auto search = [](const NearestTree& tree, const NearestQueries& queries, const Query& q,
                                   auto&& offer) {
-    if (q.seed >= 0) scan(tree, q, q.seed, offer);
+    const double x = q.x, y = q.y, z = q.z;
+    const int self = q.self, seed = q.seed;
+    // Within the search: as a function of its own it made lists of 32 a fifth slower on an H200.
+    auto scan = [&](int leaf) {
+        const double* at = tree.positions.data + (size_t)leaf * 3 * LEAF;
+        const int* index = tree.index.data + (size_t)leaf * LEAF;
+        for (int i = 0; i < LEAF; ++i) {
+            const double dx = at[i] - x, dy = at[LEAF + i] - y, dz = at[2 * LEAF + i] - z;
+            const double given = (dx * dx + dy * dy) + dz * dz;
+            // The rest of the last leaf is NaN: every comparison with it is false.
+            if (given <= q.bound && index[i] != self && before(given, index[i], q.bound, q.bound_index))
+                offer(given, index[i]);
+        }
+    };
+    if (seed >= 0) scan(seed);
     int stack[STACK], height = 1;
     signed char level[STACK];
     double entry[STACK];
@@ -77,8 +78,8 @@ static constexpr auto search = [](const NearestTree& tree, const NearestQueries&
         if (entry[height] > q.bound) continue;
         const int n = stack[height], l = level[height];
         if (l == 0) {
-            if (n != q.seed && before(entry[height], tree.least.data[n], q.bound, q.bound_index))
-                scan(tree, q, n, offer);
+            if (n != seed && before(entry[height], tree.least.data[n], q.bound, q.bound_index))
+                scan(n);
             continue;
         }
         const int node = tree.level_first.data[l] + n;
@@ -93,8 +94,8 @@ static constexpr auto search = [](const NearestTree& tree, const NearestQueries&
             to = to < WIDTH - 1 ? to : WIDTH - 1;
         }
         for (int j = from; j <= to; ++j) {
-            const double dx = outside(side[j], side[24 + j], q.x), dy = outside(side[8 + j], side[32 + j], q.y),
-                         dz = outside(side[16 + j], side[40 + j], q.z);
+            const double dx = outside(side[j], side[24 + j], x), dy = outside(side[8 + j], side[32 + j], y),
+                         dz = outside(side[16 + j], side[40 + j], z);
             const double d = (dx * dx + dy * dy) + dz * dz;
             if (!before(d, least[j], q.bound, q.bound_index)) continue;
             // The nearest child is pushed last; among equals, the first.

@@ -9,14 +9,16 @@ static constexpr auto sort_by = [](int* key, auto* value, int count, auto before
     while (gap > 1) {
         gap = gap <= 32 ? 1 : gap / 9 * 4;
         for (int i = gap; i < count; ++i) {
+            // Rows by index are nearly in order.
+            if (!before(value[i], key[i], value[i - gap], key[i - gap])) continue;
             const int moving = key[i];
             const double moving_value = value[i];
             int j = i;
-            for (; j >= gap && before(moving_value, moving, value[j - gap], key[j - gap]); j -= gap) {
+            do {
                 key[j] = key[j - gap];
                 value[j] = value[j - gap];
-            }
-            if (j == i) continue;
+                j -= gap;
+            } while (j >= gap && before(moving_value, moving, value[j - gap], key[j - gap]));
             key[j] = moving;
             value[j] = moving_value;
         }
