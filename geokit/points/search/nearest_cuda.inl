@@ -78,8 +78,7 @@ static constexpr auto search = [](const NearestTree& tree, const NearestQueries&
         if (entry[height] > q.bound) continue;
         const int n = stack[height], l = level[height];
         if (l == 0) {
-            if (n != seed && before(entry[height], tree.least.data[n], q.bound, q.bound_index))
-                scan(n);
+            if (n != seed && before(entry[height], tree.least.data[n], q.bound, q.bound_index)) scan(n);
             continue;
         }
         const int node = tree.level_first.data[l] + n;
