@@ -12,7 +12,7 @@ from benchmarks.gpu_timing import wall_median
 from geokit.core import launcher
 from geokit.volume._dense import to_dense
 from geokit.volume._from_points import from_points
-from geokit.volume._quantize import quantize
+from geokit.volume.retyped.quantize import quantize
 
 RUNS = 5
 POINTS = 200_000

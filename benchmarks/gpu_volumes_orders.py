@@ -15,12 +15,12 @@ from benchmarks.catalog.sphere_volumes import sphere_leaves
 from benchmarks.catalog.typed_grids import VALUED, TypedGrid
 from benchmarks.gpu_timing import device_median
 from geokit.core import launcher
-from geokit.volume._active import active_at
 from geokit.volume._curvature import curvature, hessian
-from geokit.volume._from_channel import from_channel
-from geokit.volume._sample import gradient, sample
+from geokit.volume.at_points.active import active_at
+from geokit.volume.at_points.sample import gradient, sample
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import aligned_buffer, info_of
+from geokit.volume.retyped.from_channel import from_channel
 
 POINTS = 10_000_000
 CHECKED = 200_000

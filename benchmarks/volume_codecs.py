@@ -29,8 +29,8 @@ from geokit.volume import from_mesh, load, save
 from geokit.volume._dense import from_dense, to_dense
 from geokit.volume._from_function import from_function
 from geokit.volume._from_points import from_points
-from geokit.volume._quantize import quantize
 from geokit.volume.nanovdb.file import read
+from geokit.volume.retyped.quantize import quantize
 
 RUNS = 3
 SYSTEM_PYTHON = "/usr/bin/python3"

@@ -57,7 +57,7 @@ class Storage:
         """Quantize the volume as the options demand."""
         if self.quantization is None and self.tolerance is None:
             return volume
-        from geokit.volume._quantize import quantize
+        from geokit.volume.retyped.quantize import quantize
 
         return quantize(volume, self.quantization, tolerance=self.tolerance)
 

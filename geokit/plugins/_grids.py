@@ -41,8 +41,8 @@ def require_fits(
         UnsupportedGridError: The grid stores no values.
     """
     from geokit.volume._dense import native_of
-    from geokit.volume._from_channel import from_channel
     from geokit.volume.nanovdb.types import INDEX_TYPES
+    from geokit.volume.retyped.from_channel import from_channel
 
     require_count(most_bytes, "most_bytes", 1)
     dtype, components = native_of(from_channel(volume, 0) if volume.info.grid_type in INDEX_TYPES else volume)

@@ -132,9 +132,9 @@ class _Voxels(BackendArray):
 
 def _read(path: str | os.PathLike[str], drop_variables: str | Iterable[str] | None) -> dict[str, Any]:
     """Grids by the names of their variables."""
-    from geokit.volume._from_channel import from_channel
     from geokit.volume._io import inspect, load, load_all, unique_names
     from geokit.volume.nanovdb.types import INDEX_TYPES
+    from geokit.volume.retyped.from_channel import from_channel
 
     dropped = {drop_variables} if isinstance(drop_variables, str) else set(drop_variables or ())
     if dropped:

@@ -189,7 +189,7 @@ class _SurfaceTarget(Target):
 
 class _VolumeTarget(Target):
     def __init__(self, volume: "SparseVolume", device: Any) -> None:
-        from geokit.volume._sample import is_scalar
+        from geokit.volume.at_points.sample import is_scalar
 
         info = volume.info
         if info.grid_class != "level set" or not is_scalar(volume):

@@ -15,15 +15,15 @@ from ._from_points import from_points as from_points
 from ._from_function import from_function as from_function
 from ._dense import from_dense as from_dense, to_dense as to_dense, DenseGrid as DenseGrid
 from ._convert import to_pyvista as to_pyvista, to_xarray as to_xarray
-from ._from_channel import from_channel as from_channel, channel_names as channel_names
+from .retyped.from_channel import from_channel as from_channel, channel_names as channel_names
 
 # The active voxels and their values as flat arrays.
 from ._values import active_voxels as active_voxels, with_values as with_values, ActiveVoxels as ActiveVoxels
 
 # Queries at points and along rays.
-from ._sample import sample as sample, gradient as gradient
+from .at_points.sample import sample as sample, gradient as gradient
 from ._curvature import hessian as hessian, curvature as curvature, Curvatures as Curvatures
-from ._active import active_at as active_at
+from .at_points.active import active_at as active_at
 from ._raycast import raycast as raycast, VolumeHits as VolumeHits
 from ._integrate import integrate as integrate, Transmittance as Transmittance
 from ._statistics import statistics as statistics, Statistics as Statistics
@@ -48,7 +48,7 @@ from ._differential import (
     laplacian as laplacian,
 )
 from ._resample import resample as resample
-from ._quantize import quantize as quantize
+from .retyped.quantize import quantize as quantize
 from ._topology import clip as clip, prune as prune
 from ._components import (
     connected_components as connected_components,

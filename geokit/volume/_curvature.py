@@ -10,7 +10,7 @@ from geokit.core.interop.types import Devices, Rows
 from geokit.core.interop.user_arrays import Batch, read_vectors
 from geokit.core.query.ask import query
 from geokit.errors import UnsupportedGridError
-from geokit.volume._sample import is_scalar, require_order, view_as
+from geokit.volume.at_points.sample import is_scalar, require_order, view_as
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.sampling.space import query_inputs, require_space
 from geokit.volume.tree.leaves import require_volume

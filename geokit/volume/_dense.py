@@ -225,7 +225,7 @@ def to_dense(
     """
     require_volume(volume, "volume")
     if channel is not None or volume.info.grid_type in INDEX_TYPES:
-        from geokit.volume._from_channel import from_channel
+        from geokit.volume.retyped.from_channel import from_channel
 
         volume = from_channel(volume, 0 if channel is None else channel)
     native, components = native_of(volume)

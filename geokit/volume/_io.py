@@ -24,7 +24,6 @@ from geokit.formats.foreign import require_format
 from geokit.formats.images.image import Image
 from geokit.formats.table import SPARSE, STAGES, extensions, image_module, volume_kind, with_formats
 from geokit.volume._dense import native_of, to_dense
-from geokit.volume._from_channel import from_channel
 from geokit.volume._topology import clip, require_box
 from geokit.volume.images.build import info_of_image, volume_of_image
 from geokit.volume.images.save import save_image
@@ -36,6 +35,7 @@ from geokit.volume.nanovdb.codecs import CODECS
 from geokit.volume.nanovdb.grid_info import GridInfo
 from geokit.volume.nanovdb.header import HEAD_SIZE, grid_name, info_of, voxel_size_of
 from geokit.volume.nanovdb.types import INDEX_TYPES
+from geokit.volume.retyped.from_channel import from_channel
 from geokit.volume.tree.typed_writer import WIDENED, widened
 
 __all__ = ["inspect", "load", "load_all", "save"]

@@ -14,8 +14,8 @@ from geokit.core.interop.user_arrays import require_finite_scalar
 from geokit.core.memory.needs import needs
 from geokit.core.memory.row_products import row_product
 from geokit.errors import InputError, UnsupportedGridError
-from geokit.volume._active import active_at
-from geokit.volume._sample import require_order, sample
+from geokit.volume.at_points.active import active_at
+from geokit.volume.at_points.sample import require_order, sample
 from geokit.volume.level_set.band_widths import BandWidths, widths_of, with_widths
 from geokit.volume.level_set.operands import require_level_set, with_band
 from geokit.volume.model.sparse_volume import SparseVolume
@@ -189,9 +189,6 @@ def _sampled(
     device: Any,
 ) -> SparseVolume:
     """Sample ``source`` at the voxels of another transform; level sets only within ``band`` of the surface."""
-    from geokit.volume._active import active_at
-    from geokit.volume._sample import sample
-
     outside = np.asarray(background, dtype)
 
     def read(voxels: NDArray[np.int64]) -> tuple[NDArray[Any], NDArray[np.bool_]]:

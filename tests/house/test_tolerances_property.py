@@ -17,8 +17,8 @@ from geokit.mesh._simplify import simplify
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.volumes.from_volume import from_volume, from_volume_with_deviation
 from geokit.points._downsample import cover, downsample
-from geokit.volume._quantize import quantize
 from geokit.volume.distance_fields.from_mesh import from_mesh
+from geokit.volume.retyped.quantize import quantize
 from tests.support.effort import of_all
 from tests.support.reference import closest_point
 

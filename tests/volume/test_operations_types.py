@@ -14,11 +14,11 @@ from geokit.volume._csg import union
 from geokit.volume._differential import gradient_field, laplacian
 from geokit.volume._filters import smooth
 from geokit.volume._morphology import offset, renormalize
-from geokit.volume._quantize import quantize
 from geokit.volume._resample import resample
 from geokit.volume._statistics import statistics
 from geokit.volume._topology import clip, prune
 from geokit.volume.model.sparse_volume import SparseVolume
+from geokit.volume.retyped.quantize import quantize
 from geokit.volume.tree.leaves import leaves_of
 from tests.support.analytic_volumes import active_voxels, ball, field, level_set
 from tests.support.effort import of_all

@@ -247,7 +247,7 @@ def far_values(distance: float, *, order: int, seed: int = 0, device: Any = None
 
 def quantized_distances(radius: float, *, codec: str, seed: int = 0, device: Any = None) -> Judgement:
     """Distances within half a voxel of a patch of a sphere, sampled from its quantized band at order 1."""
-    from geokit.volume._quantize import quantize
+    from geokit.volume.retyped.quantize import quantize
 
     patch, direction, center = _patch(radius, seed)
     small = quantize(patch, codec)
@@ -263,7 +263,7 @@ def quantized_distances(radius: float, *, codec: str, seed: int = 0, device: Any
 
 def kept_tolerances(tolerance: float, *, seed: int = 0, device: Any = None) -> Judgement:
     """Voxels of a band that was stored with a tolerance; errors are their changes in tolerances."""
-    from geokit.volume._quantize import quantize
+    from geokit.volume.retyped.quantize import quantize
 
     patch, _, _ = _patch(TOLERANCE_RADIUS, seed)
     voxels = np.random.default_rng(seed).integers(-FIELD_REACH, FIELD_REACH + 1, (4000, 3)).astype(float)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from geokit.errors import InputError
 from geokit.volume._dense import to_dense
-from geokit.volume._sample import sample
+from geokit.volume.at_points.sample import sample
 
 if TYPE_CHECKING:
     from geokit.render.viewer.arrays import Arrays

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from geokit.volume._quantize import quantize
 from geokit.volume.adaptive.cells import CellLattice, cells_of, keys_of, spread_keys
 from geokit.volume.adaptive.level_sizes import band_lattice
 from geokit.volume.adaptive.refine import Refinement
@@ -15,6 +14,7 @@ from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import info_of
 from geokit.volume.nanovdb.layout import LEAF_VOXELS
 from geokit.volume.nanovdb.provenance import ORDER, with_more
+from geokit.volume.retyped.quantize import quantize
 from geokit.volume.tree.device_leaves import build_leaves
 from geokit.volume.tree.grid_head import checked_head
 

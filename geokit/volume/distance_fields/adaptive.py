@@ -22,18 +22,18 @@ from geokit.core.query.ask import query
 from geokit.core.require import require_count, require_items, require_text
 from geokit.errors import DeviceMemoryError, FileFormatError, InputError
 from geokit.volume._io import load_all, save
-from geokit.volume._quantize import CODECS
-from geokit.volume._sample import gradient as volume_gradient
-from geokit.volume._sample import sample as volume_sample
 from geokit.volume.adaptive.build import build_band_level, build_finer_level
 from geokit.volume.adaptive.cells import CellLattice
 from geokit.volume.adaptive.check import DRAWN_POINTS, check_points
 from geokit.volume.adaptive.choice import CLOSE, WORTH_LEVELS, levels_of, levels_or_one
 from geokit.volume.adaptive.refine import Refinement
 from geokit.volume.adaptive.table import AdaptiveTable, adaptive_table, shifts_of
+from geokit.volume.at_points.sample import gradient as volume_gradient
+from geokit.volume.at_points.sample import sample as volume_sample
 from geokit.volume.band.fields import hash_of, mesh_metadata
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.provenance import ORDER, VOXEL_SIZE, provenance, with_more
+from geokit.volume.retyped.quantize import CODECS
 from geokit.volume.sampling.space import world_to_index
 from geokit.volume.tolerance.checked_fields import TOLD, Achieved, made_within
 from geokit.volume.tolerance.from_mesh import make_setting, tolerance_search

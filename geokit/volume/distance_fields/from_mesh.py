@@ -248,7 +248,7 @@ def from_mesh(
             raise InputError(f"{option}: only of use with tolerance; leave it out")
     half_width = DEFAULT_HALF_WIDTH if half_width is None else half_width
     if codec is not None:
-        from geokit.volume._quantize import CODECS
+        from geokit.volume.retyped.quantize import CODECS
 
         require_choice(codec, "codec", CODECS)
     if compact and method == "openvdb":
@@ -262,7 +262,7 @@ def from_mesh(
         volume = volume_from_built(build_band(band, head), band_metadata(band, sign))
     if codec is None:
         return volume
-    from geokit.volume._quantize import quantize
+    from geokit.volume.retyped.quantize import quantize
 
     return quantize(volume, codec)
 

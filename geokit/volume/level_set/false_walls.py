@@ -15,7 +15,7 @@ from geokit.core import launcher
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.surfaces.surface import Surface
 from geokit.points.neighbors.neighbor_grid import NeighborGrid
-from geokit.volume._sample import sample
+from geokit.volume.at_points.sample import sample
 from geokit.volume.isosurface.surface_nets import surface_nets
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.nodes import grid_nodes, set_bits, slot_places

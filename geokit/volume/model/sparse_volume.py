@@ -89,7 +89,7 @@ class SparseVolume:
         device: Devices = None,
     ) -> Any:
         """See :func:`geokit.volume.sample`."""
-        from geokit.volume._sample import sample
+        from geokit.volume.at_points.sample import sample
 
         return sample(self, points, order=order, space=space, channel=channel, transform=transform, device=device)
 
@@ -104,7 +104,7 @@ class SparseVolume:
         device: Devices = None,
     ) -> Any:
         """See :func:`geokit.volume.gradient`."""
-        from geokit.volume._sample import gradient
+        from geokit.volume.at_points.sample import gradient
 
         return gradient(self, points, order=order, space=space, channel=channel, transform=transform, device=device)
 
@@ -122,7 +122,7 @@ class SparseVolume:
 
     def active_at(self, points: Rows, *, space: str = "world", device: Devices = None) -> Any:
         """See :func:`geokit.volume.active_at`."""
-        from geokit.volume._active import active_at
+        from geokit.volume.at_points.active import active_at
 
         return active_at(self, points, space=space, device=device)
 
@@ -130,7 +130,7 @@ class SparseVolume:
         self, codec: str | None = None, *, tolerance: float | None = None, dither: bool = False
     ) -> SparseVolume:
         """See :func:`geokit.volume.quantize`."""
-        from geokit.volume._quantize import quantize
+        from geokit.volume.retyped.quantize import quantize
 
         return quantize(self, codec, tolerance=tolerance, dither=dither)
 

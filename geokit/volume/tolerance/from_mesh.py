@@ -60,7 +60,7 @@ def tolerance_search(
         InputError: As :func:`from_mesh`.
     """
     from geokit.mesh._sample_surface import sample_surface
-    from geokit.volume._quantize import CODECS as ALL_CODECS
+    from geokit.volume.retyped.quantize import CODECS as ALL_CODECS
 
     tolerance = user_arrays.require_finite_scalar(tolerance, "tolerance", low=0.0)
     if order is not None:
@@ -116,7 +116,7 @@ def tolerance_search(
 
 def make_setting(search: Search, setting: Setting, name: str | None = None) -> SparseVolume:
     """Build the field of a setting."""
-    from geokit.volume._quantize import quantize
+    from geokit.volume.retyped.quantize import quantize
 
     surface, size = search.memory.surface, setting.voxel_size
     width = in_float32(setting.half_width * size)

@@ -110,7 +110,7 @@ class TestNotices:
         assert meshes.wall_distances(4.0, device="cpu").wrong.all()
 
     def test_codecs(self, monkeypatch):
-        quantize = import_module("geokit.volume._quantize")
+        quantize = import_module("geokit.volume.retyped.quantize")
         coarse = quantize.quantize
         monkeypatch.setattr(quantize, "quantize", lambda volume, codec, **_: coarse(volume, "fp4"))
         assert worst(samples.quantized_distances(64.0, codec="fp16", device="cpu")) > 0.1

@@ -12,7 +12,7 @@ from geokit.mesh._io import load, save
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.volumes.attributes import sample_attributes
 from geokit.mesh.volumes.from_volume import from_volume
-from geokit.volume._sample import sample
+from geokit.volume.at_points.sample import sample
 
 
 def test_attributes_are_samples_at_the_vertices():

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from geokit.volume._components import segment
-from geokit.volume._quantize import quantize
 from geokit.volume.nanovdb.checks import check_grid
+from geokit.volume.retyped.quantize import quantize
 from tests.support.analytic_volumes import TURNED, ball, dense, level_set
 from tests.support.two_bodies import errors
 

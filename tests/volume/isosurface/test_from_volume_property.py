@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from benchmarks.catalog.float_grids import build_float_grid
 from geokit.mesh._audit import audit
 from geokit.mesh.volumes.from_volume import from_volume
-from geokit.volume._sample import sample
+from geokit.volume.at_points.sample import sample
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import info_of
 from tests.support.effort import of_all

@@ -17,10 +17,10 @@ from geokit.errors import UnsupportedGridError
 from geokit.volume._dense import from_dense
 from geokit.volume._io import load, save
 from geokit.volume._morphology import closing, dilate, erode, opening
-from geokit.volume._quantize import quantize
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.header import grid_header, info_of
+from geokit.volume.retyped.quantize import quantize
 from geokit.volume.tree.typed_tree import VALUE_TYPES
 from tests.support.effort import of_all, spread
 from tests.support.nanovdb_validate import OPENVDB, VALIDATED, assert_validated, needs_validate

@@ -10,7 +10,6 @@ from benchmarks.catalog.index_grids import IndexGrid
 from benchmarks.catalog.sphere_volumes import sphere
 from geokit.errors import FileFormatError, InputError
 from geokit.native import RawMetadata
-from geokit.volume._from_channel import from_channel
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb import metadata as nvdb_metadata
 from geokit.volume.nanovdb.checks import check_grid
@@ -19,6 +18,7 @@ from geokit.volume.nanovdb.file import inspect, read
 from geokit.volume.nanovdb.header import BLIND_DATA, HEAD_SIZE, MAGIC_GRID, aligned_buffer, grid_header, info_of
 from geokit.volume.nanovdb.metadata import body_with_metadata, metadata_of, without_metadata
 from geokit.volume.nanovdb.write import write
+from geokit.volume.retyped.from_channel import from_channel
 from tests.support.nanovdb_validate import assert_validated, needs_validate
 
 CODECS = ("none", "zip", "blosc")

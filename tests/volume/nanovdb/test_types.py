@@ -21,8 +21,7 @@ from geokit.cli._storage import QUANTIZATIONS
 from geokit.errors import GeokitError, InputError, UnsupportedGridError
 from geokit.native import VdbGrid
 from geokit.volume._dense import from_dense, to_dense
-from geokit.volume._quantize import CODECS, SOURCES, quantize
-from geokit.volume._sample import sample
+from geokit.volume.at_points.sample import sample
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import GRID_CLASSES, aligned_buffer, info_of
 from geokit.volume.nanovdb.layout import INDEX_LAYOUTS, LAYOUTS
@@ -43,6 +42,7 @@ from geokit.volume.nanovdb.types import (
     WHOLE_TYPES,
     WHOLE_VECTOR_TYPES,
 )
+from geokit.volume.retyped.quantize import CODECS, SOURCES, quantize
 from geokit.volume.tolerance import search
 
 PACKAGE = Path(geokit.__file__).parent

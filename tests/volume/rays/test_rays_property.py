@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from geokit.volume._integrate import integrate
 from geokit.volume._raycast import raycast
-from geokit.volume._sample import sample
+from geokit.volume.at_points.sample import sample
 from tests.support.volume_rays import Field, assert_first_crossings, both_ways, rays_through
 
 EXAMPLES = settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

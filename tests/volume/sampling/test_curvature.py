@@ -10,7 +10,7 @@ from benchmarks.catalog.sphere_volumes import VOXELS
 from benchmarks.catalog.typed_grids import QUANTIZED, VALUED, TypedGrid
 from geokit.errors import InputError, UnsupportedGridError
 from geokit.volume._curvature import Curvatures, curvature, hessian
-from geokit.volume._sample import gradient
+from geokit.volume.at_points.sample import gradient
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import info_of
 from tests.support.effort import of_all

@@ -7,9 +7,9 @@ import pytest
 
 from benchmarks.catalog.float_grids import build_float_grid
 from benchmarks.catalog.sphere_volumes import sphere_leaves
-from geokit.volume._active import active_at
 from geokit.volume._curvature import curvature
-from geokit.volume._sample import gradient, sample
+from geokit.volume.at_points.active import active_at
+from geokit.volume.at_points.sample import gradient, sample
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import info_of
 

@@ -11,7 +11,7 @@ import pytest
 from benchmarks.catalog.float_grids import build_float_grid
 from benchmarks.catalog.typed_grids import QUANTIZED, VALUED, TypedGrid
 from geokit.errors import InputError
-from geokit.volume._sample import gradient, sample
+from geokit.volume.at_points.sample import gradient, sample
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import HEAD_SIZE, aligned_buffer, info_of
 from geokit.volume.nanovdb.layout import LAYOUTS

@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.catalog.typed_grids import TypedGrid
 from geokit import native
-from geokit.volume._sample import gradient, sample
+from geokit.volume.at_points.sample import gradient, sample
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import aligned_buffer, grid_class_code, grid_header, info_of
 from tests.support.reference import tensor_interpolant

@@ -9,11 +9,11 @@ from benchmarks.catalog.float_grids import build_float_grid
 from benchmarks.catalog.sphere_volumes import sphere
 from geokit.errors import InputError
 from geokit.volume._dense import to_dense
-from geokit.volume._quantize import quantize
-from geokit.volume._sample import gradient
+from geokit.volume.at_points.sample import gradient
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.header import info_of
+from geokit.volume.retyped.quantize import quantize
 
 
 def leaf(values: np.ndarray) -> SparseVolume:

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.catalog.float_grids import build_float_grid
-from geokit.volume._sample import gradient, sample
+from geokit.volume.at_points.sample import gradient, sample
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import info_of
 

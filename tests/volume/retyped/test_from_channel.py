@@ -10,14 +10,14 @@ from benchmarks.catalog.index_grids import IndexGrid
 from benchmarks.catalog.sphere_volumes import sphere
 from geokit.errors import FileFormatError, InputError, UnsupportedGridError
 from geokit.volume import load, save
-from geokit.volume._active import active_at
-from geokit.volume._from_channel import channel_names, from_channel
-from geokit.volume._sample import gradient, sample
+from geokit.volume.at_points.active import active_at
+from geokit.volume.at_points.sample import gradient, sample
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.header import BLIND_DATA, aligned_buffer, grid_header, info_of
 from geokit.volume.nanovdb.layout import INDEX_LAYOUTS
 from geokit.volume.nanovdb.types import CHANNEL_TYPES
+from geokit.volume.retyped.from_channel import channel_names, from_channel
 from tests.support.reference import tensor_interpolant
 
 TYPES = list(INDEX_LAYOUTS)

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from benchmarks.catalog.float_grids import build_float_grid
 from geokit.errors import InputError
 from geokit.volume._dense import to_dense
-from geokit.volume._quantize import quantize
-from geokit.volume._sample import sample
+from geokit.volume.at_points.sample import sample
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.header import info_of
+from geokit.volume.retyped.quantize import quantize
 from tests.support.effort import of_all
 
 SETTINGS = settings(max_examples=of_all(20, 40), deadline=None, suppress_health_check=[HealthCheck.too_slow])

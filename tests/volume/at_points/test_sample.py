@@ -12,7 +12,7 @@ from benchmarks.catalog.float_grids import build_float_grid
 from benchmarks.catalog.typed_grids import QUANTIZED, VALUED, TypedGrid
 from geokit import native
 from geokit.errors import GeokitError, InputError, UnsupportedGridError
-from geokit.volume._sample import gradient, sample
+from geokit.volume.at_points.sample import gradient, sample
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import aligned_buffer, info_of, tree_header
 from geokit.volume.nanovdb.layout import GRID_TYPES

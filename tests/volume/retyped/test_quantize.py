@@ -15,12 +15,12 @@ from geokit import native
 from geokit.errors import InputError, UnsupportedGridError
 from geokit.volume import load, load_all, save
 from geokit.volume._dense import to_dense
-from geokit.volume._quantize import quantize
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.checksum import checksum_matches
 from geokit.volume.nanovdb.file import read
 from geokit.volume.nanovdb.header import grid_header, info_of, tree_header
+from geokit.volume.retyped.quantize import quantize
 from geokit.volume.tree.leaf_codecs import BITS, thresholds, unpack
 from tests.support.nanovdb_validate import assert_validated, needs_validate
 

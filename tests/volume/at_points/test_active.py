@@ -10,7 +10,7 @@ import pytest
 from benchmarks.catalog.sphere_volumes import sphere, sphere_leaves
 from benchmarks.catalog.typed_grids import VALUED, TypedGrid
 from geokit.errors import InputError, UnsupportedGridError
-from geokit.volume._active import active_at
+from geokit.volume.at_points.active import active_at
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import HEAD_SIZE, info_of, tree_header
 

@@ -44,7 +44,7 @@ def _require_placeable(volume: Any, *, space: str = "world", channel: int | str 
 @query(
     "points",
     places=_require_placeable,
-    gradient=".sampling.gradients:SAMPLE",
+    gradient="..sampling.gradients:SAMPLE",
     is_replayed=True,
     least_rows=FIRST_ALONE,
     row_bytes=16,
@@ -135,7 +135,7 @@ def sample(
     "points",
     is_turned=True,
     places=_require_placeable,
-    gradient=".sampling.gradients:GRADIENT",
+    gradient="..sampling.gradients:GRADIENT",
     is_replayed=True,
     least_rows=FIRST_ALONE,
     row_bytes=32,
@@ -218,7 +218,7 @@ def _valued(volume: SparseVolume, channel: int | str | None) -> SparseVolume:
     """The volume itself, or for an index grid the volume of values of one channel."""
     if channel is None and volume.info.grid_type not in INDEX_TYPES:
         return volume
-    from geokit.volume._from_channel import from_channel
+    from geokit.volume.retyped.from_channel import from_channel
 
     return from_channel(volume, 0 if channel is None else channel)
 

@@ -1,0 +1,1 @@
+"""What a volume says at points: values, gradients, active or not."""
