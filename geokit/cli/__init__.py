@@ -44,7 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             signal.signal(signal.SIGALRM, interrupt)
             sys.unraisablehook = raise_again
     with contextlib.suppress(KeyboardInterrupt):
-        from geokit.cli._run import run
+        from geokit.cli._program.run import run
 
         code = run(list(sys.argv[1:] if arguments is None else arguments))
     if came or code == INTERRUPTED:

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from geokit.cli._console import note, print_json, say
+from geokit.cli._program.console import note, print_json, say
 from geokit.core.files import extension
 from geokit.core.require import require_count
 from geokit.errors import FileAccessError, GeokitError, InputError

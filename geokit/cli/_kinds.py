@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from geokit.cli._console import note
+from geokit.cli._program.console import note
 from geokit.core.files import extension, require_file
 from geokit.errors import FileFormatError, InputError
 from geokit.formats.foreign import refuse_foreign, require_format

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from cyclopts import CycloptsError, Parameter
 
-from geokit.cli._console import announce_compiling, print_json, say, step
 from geokit.cli._kinds import Flag, grid_names, kind_of_input, kind_of_output, load_grid, may_write
+from geokit.cli._program.console import announce_compiling, print_json, say, step
 from geokit.errors import GeokitError, InputError
 
 if TYPE_CHECKING:

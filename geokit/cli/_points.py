@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geokit._warn import warn
-from geokit.cli._console import note
+from geokit.cli._program.console import note
 from geokit.core.files import extension
 from geokit.errors import InputError
 from geokit.formats.table import FORMATS

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.cli._console import print_facts, print_json
 from geokit.cli._kinds import may_write
+from geokit.cli._program.console import print_facts, print_json
 from geokit.core.files import atomic_path, require_extension
 from geokit.formats.table import FORMATS, extensions
 

@@ -16,8 +16,8 @@ from geokit.cli._batches.report import totals, write_report
 from geokit.cli._batches.schedule import local_workers, remote_workers, run_all
 from geokit.cli._batches.task import key_of
 from geokit.cli._batches.worker import versions
-from geokit.cli._console import note, print_json, say, step
 from geokit.cli._kinds import Flag, may_write
+from geokit.cli._program.console import note, print_json, say, step
 from geokit.core.files import require_file
 from geokit.core.require import require_count, require_number
 from geokit.errors import InputError

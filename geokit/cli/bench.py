@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from geokit.cli._console import announce_compiling, note, print_json, print_table, say
 from geokit.cli._kinds import Flag, kind_of_input, load_cloud, load_grid
+from geokit.cli._program.console import announce_compiling, note, print_json, print_table, say
 from geokit.errors import InputError
 
 if TYPE_CHECKING:

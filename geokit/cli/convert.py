@@ -10,7 +10,6 @@ import numpy as np
 from cyclopts import CycloptsError, Parameter
 
 from geokit.cli._batch import run_batch, targets_in
-from geokit.cli._console import announce_compiling, note, print_json, say, step
 from geokit.cli._kinds import (
     Device,
     FiniteOnly,
@@ -24,6 +23,7 @@ from geokit.cli._kinds import (
     refuse_unused,
 )
 from geokit.cli._points import cloud_to_mesh, cloud_to_volume, mesh_to_cloud, save_cloud
+from geokit.cli._program.console import announce_compiling, note, print_json, say, step
 from geokit.cli._storage import Storage
 from geokit.core.files import atomic_path, extension, size_of
 from geokit.errors import InputError

@@ -6,8 +6,8 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from geokit.cli._console import announce_compiling, note, print_json, print_table, say
 from geokit.cli._kinds import Device, Flag
+from geokit.cli._program.console import announce_compiling, note, print_json, print_table, say
 from geokit.errors import FileAccessError, InputError
 
 if TYPE_CHECKING:

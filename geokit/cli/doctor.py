@@ -14,7 +14,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from geokit.cli._console import note, plain, print_facts, print_json, print_table, step
+from geokit.cli._program.console import note, plain, print_facts, print_json, print_table, step
 
 __all__ = ["doctor"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from geokit._shipped import folder_of
-from geokit.cli._console import print_table
+from geokit.cli._program.console import print_table
 from geokit.errors import InputError
 
 __all__ = ["guide"]

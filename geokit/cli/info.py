@@ -8,8 +8,8 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from geokit.cli._console import print_facts, print_json, step
 from geokit.cli._kinds import FiniteOnly, kind_of_input, load_cloud, refuse_unused
+from geokit.cli._program.console import print_facts, print_json, step
 from geokit.core.files import extension, size_of
 from geokit.errors import GeokitError
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import App, Parameter
 
-from geokit.cli._console import announce_compiling, print_json, say, step
 from geokit.cli._kinds import Device, Flag, may_write
+from geokit.cli._program.console import announce_compiling, print_json, say, step
 from geokit.errors import InputError
 from geokit.formats.foreign import require_format
 

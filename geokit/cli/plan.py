@@ -7,8 +7,8 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from geokit.cli._console import announce_compiling, note, print_json, print_table, step
 from geokit.cli._kinds import Device, kind_of_input
+from geokit.cli._program.console import announce_compiling, note, print_json, print_table, step
 from geokit.errors import InputError
 
 __all__ = ["plan"]

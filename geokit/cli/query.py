@@ -10,8 +10,8 @@ from typing import Annotated, Any
 import numpy as np
 from cyclopts import App, Parameter
 
-from geokit.cli._console import announce_compiling, step
 from geokit.cli._kinds import Device, FiniteOnly, Flag, kind_of_input, load_cloud, load_grid, load_rays
+from geokit.cli._program.console import announce_compiling, step
 from geokit.cli._results import OUTPUT_EXTENSIONS, check_output, deliver
 from geokit.core.files import extension
 from geokit.errors import InputError

@@ -7,8 +7,8 @@ from typing import Annotated, Any
 
 from cyclopts import CycloptsError, Parameter
 
-from geokit.cli._console import announce_compiling, note, say, step
 from geokit.cli._kinds import FiniteOnly, Flag, UpAxis, kind_of_input, load_cloud, load_grid, may_write, refuse_unused
+from geokit.cli._program.console import announce_compiling, note, say, step
 from geokit.core.files import extension, require_extension
 from geokit.formats.table import FORMATS
 

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from geokit.cli._app import GROUPS, VERBS
-from geokit.cli._examples import EXAMPLES, examples_of
+from geokit.cli._program.app import GROUPS, VERBS
+from geokit.cli._program.examples import EXAMPLES, examples_of
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -14,7 +14,7 @@ import pytest
 
 from geokit._packages import require_package
 from geokit.cli._batches import schedule, worker
-from geokit.cli._console import step
+from geokit.cli._program.console import step
 from geokit.errors import WorkerError
 from tests.cli.conftest import ROOT, SECONDS
 
@@ -41,7 +41,7 @@ def interruptible():
 
 # Says when the command line runs: an interrupt before it does is Python's own.
 TELLING = """
-import sys, geokit.cli, geokit.cli._run as verbs
+import sys, geokit.cli, geokit.cli._program.run as verbs
 run = verbs.run
 verbs.run = lambda arguments: [print("runs", flush=True), run(arguments)][1]
 sys.exit(geokit.cli.main())
@@ -72,7 +72,7 @@ def test_drawing_ends_by_130_wherever_it_is_interrupted(cube, tmp_path):
 @pytest.mark.parametrize("caught", ["Exception('a library turned it')", "SystemExit(0)", "None"])
 def test_an_interrupt_that_a_library_catches_is_one(caught):
     code = (
-        "import signal, geokit.cli, geokit.cli._run as verbs\n"
+        "import signal, geokit.cli, geokit.cli._program.run as verbs\n"
         "def run(_):\n"
         "    try: signal.raise_signal(signal.SIGINT)\n"
         f"    except BaseException: caught = {caught}\n"
@@ -90,7 +90,7 @@ def test_an_interrupt_that_a_library_catches_is_one(caught):
 def test_an_interrupt_that_comes_within_del_ends_the_command():
     """Python drops it there, and the command would go on to its end."""
     code = (
-        "import signal, time, geokit.cli, geokit.cli._run as verbs\n"
+        "import signal, time, geokit.cli, geokit.cli._program.run as verbs\n"
         "class Freed:\n"
         "    def __del__(self): signal.raise_signal(signal.SIGINT)\n"
         "def run(_):\n"

@@ -332,20 +332,20 @@ class TestKinds:
 
 class TestProgress:
     def test_long_steps_say_how_far_they_are(self, capfd: pytest.CaptureFixture[str], monkeypatch: Any) -> None:
-        from geokit.cli import _console
+        from geokit.cli._program import console
 
-        monkeypatch.setattr(_console, "PATIENCE", 0.02)
-        with _console.step("thinking") as step:
+        monkeypatch.setattr(console, "PATIENCE", 0.02)
+        with console.step("thinking") as step:
             while "25%" not in (said := capfd.readouterr().err):
                 step.progress(1, 4)
                 time.sleep(0.001)
         assert re.search(r"^geokit: thinking \.\.\. \d+ s, 25%, about \d+ s left$", said, re.MULTILINE)
 
     def test_also_where_the_library_says_nothing(self, capfd: pytest.CaptureFixture[str], monkeypatch: Any) -> None:
-        from geokit.cli import _console
+        from geokit.cli._program import console
 
-        monkeypatch.setattr(_console, "PATIENCE", 0.02)
-        with _console.step("thinking"):
+        monkeypatch.setattr(console, "PATIENCE", 0.02)
+        with console.step("thinking"):
             said = ""
             while not said.endswith("\n"):
                 said += capfd.readouterr().err
@@ -357,22 +357,22 @@ class TestProgress:
     def test_searches_say_what_is_left(
         self, run: Callable[..., Done], tmp_path: Path, monkeypatch: Any, line: str
     ) -> None:
-        from geokit.cli import _console
+        from geokit.cli._program import console
 
         monkeypatch.chdir(tmp_path)
-        monkeypatch.setattr(_console, "PATIENCE", 0.001)
+        monkeypatch.setattr(console, "PATIENCE", 0.001)
         gk.mesh.save("ball.ply", mesh_catalog.icosphere(2))
         done = run(*line.format("ball.ply").split(), "--device", "cpu")
         assert done.code == 0
         assert re.search(r"\d+%, about \d+ s left", done.err)
 
     def test_short_and_quiet_steps_say_nothing(self, capfd: pytest.CaptureFixture[str], monkeypatch: Any) -> None:
-        from geokit.cli import _console
+        from geokit.cli._program import console
 
-        with _console.step("thinking") as step:
+        with console.step("thinking") as step:
             step.progress(1, 2)
-        monkeypatch.setattr(_console, "PATIENCE", 0.0)
-        with _console.step("thinking", quiet=True) as step:
+        monkeypatch.setattr(console, "PATIENCE", 0.0)
+        with console.step("thinking", quiet=True) as step:
             step.progress(1, 2)
         assert capfd.readouterr().err == ""
 

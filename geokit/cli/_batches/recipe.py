@@ -14,8 +14,8 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from geokit._packages import require_package
-from geokit.cli._app import GROUPS, VERBS, build_commands
-from geokit.cli._run import usage_message
+from geokit.cli._program.app import GROUPS, VERBS, build_commands
+from geokit.cli._program.run import usage_message
 from geokit.core.files import in_one_line, require_file
 from geokit.errors import InputError
 

@@ -31,11 +31,11 @@ from pathlib import Path
 from typing import Any
 
 from geokit.accuracy.trials.peak_memory import reset_high_water, resident_status
-from geokit.cli._app import build_app, build_commands
 from geokit.cli._batches.recipe import GLOBAL, Step, is_made, names_of, output_name
 from geokit.cli._batches.worker import unstarted, versions
-from geokit.cli._console import at_end
-from geokit.cli._run import show_warning, usage_message
+from geokit.cli._program.app import build_app, build_commands
+from geokit.cli._program.console import at_end
+from geokit.cli._program.run import show_warning, usage_message
 from geokit.core.base.private_folder import private_folder
 from geokit.core.files import in_one_line, require_file
 from geokit.core.running.answers import take_stdout

@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from geokit.cli._console import note, step
+from geokit.cli._program.console import note, step
 from geokit.core.files import atomic_path
 
 __all__ = ["COLUMNS", "DemoLog", "Entry"]

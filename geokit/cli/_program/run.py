@@ -10,7 +10,7 @@ import traceback
 import warnings
 
 from geokit._packages import require_package
-from geokit.cli._console import at_end
+from geokit.cli._program.console import at_end
 from geokit.core.base.printable import printable
 from geokit.errors import GeokitError
 
@@ -29,8 +29,8 @@ def run(arguments: list[str]) -> int:
         CycloptsError = require_package("cyclopts").CycloptsError
     except GeokitError as error:
         return _fail(str(error), FAILURE)
-    from geokit.cli._app import build_app
-    from geokit.cli._examples import examples_of
+    from geokit.cli._program.app import build_app
+    from geokit.cli._program.examples import examples_of
 
     app = build_app()
     warnings.showwarning = show_warning

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from geokit.cli._program.app import GROUPS, VERBS
+
 __all__ = ["EXAMPLES", "examples_of"]
 
 # What to try first, for the help of the program.
@@ -111,8 +113,6 @@ geokit demo --out part/ --mesh part.stl
 
 def examples_of(arguments: Sequence[str]) -> list[str]:
     """Examples for a command line that prints help: those of its command, or of the group; [] if it asks for none."""
-    from geokit.cli._app import GROUPS, VERBS
-
     asks = bool({"--help", "-h"}.intersection(arguments)) or arguments[:1] == ["help"]
     if not asks and arguments and not (len(arguments) == 1 and arguments[0] in GROUPS):
         return []

@@ -1,0 +1,1 @@
+"""The program around the commands: their names and examples, what it prints, exit codes."""
