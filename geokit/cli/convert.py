@@ -19,6 +19,7 @@ from geokit.cli._kinds import (
     kind_of_input,
     kind_of_output,
     load_cloud,
+    load_grid,
     may_write,
     refuse_unused,
 )
@@ -505,7 +506,6 @@ def _volume_to_volume(
 def _volume_to_mesh(
     source: Path, target: Path, how: dict[str, Any], grid: str | None, outside: dict[str, Any], *, quiet: bool
 ) -> dict[str, Any]:
-    from geokit.cli._kinds import load_grid
     from geokit.mesh import from_volume, from_volume_with_deviation, save
 
     label = how.pop("label")
@@ -561,8 +561,6 @@ def _mask(volume: SparseVolume, label: int, source: Path) -> SparseVolume:
 def _volume_to_array(
     source: Path, target: Path, grid: str | None, device: str | None, *, quiet: bool
 ) -> dict[str, Any]:
-    from geokit.cli._kinds import load_grid
-
     with step(f"converting {source}", quiet=quiet):
         volume = load_grid(source, grid)
         found = volume.to_dense(device=device)

@@ -88,7 +88,7 @@ def render(
     camera |= {"edges": edges, "shadow": shadow, "look": look}
     if slice is not None and camera != _DEFAULTS:
         raise InputError(f"{', '.join(f'--{name}' for name in _DEFAULTS)} are for scenes, not for --slice")
-    from geokit.render._checks import FLAT, checked_target
+    from geokit.render.looks.checks import FLAT, checked_target
 
     checked_target(output, *((FLAT,) if slice is not None else ()))
     may_write(output, force=force)

@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 from geokit.core.memory.needs import needs
 from geokit.core.require import read_array, require_flag, require_items
 from geokit.errors import InputError
-from geokit.render._checks import FLAT, chart_bytes, checked_label, checked_size, checked_target
 from geokit.render._image import new_axes, save_figure
+from geokit.render.looks.checks import FLAT, chart_bytes, checked_label, checked_size, checked_target
 
 __all__ = ["Series", "chart"]
 

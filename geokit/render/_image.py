@@ -15,7 +15,7 @@ from geokit.core.files import atomic_path
 from geokit.core.memory.needs import needs
 from geokit.core.require import read_array, require_mapping
 from geokit.errors import InputError
-from geokit.render._checks import (
+from geokit.render.looks.checks import (
     FLAT,
     SEQUENTIAL,
     chart_bytes,

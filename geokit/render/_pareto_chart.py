@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 
 from geokit.errors import InputError
 from geokit.render._chart import COLORS, MARKERS
-from geokit.render._checks import FLAT, checked_size, checked_target
 from geokit.render._image import new_figure, save_figure
+from geokit.render.looks.checks import FLAT, checked_size, checked_target
 
 __all__ = ["FRONT_STYLES", "MOST_LABELS", "Cloud", "decade_ticks", "pareto_chart", "power_text"]
 

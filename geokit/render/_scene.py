@@ -20,7 +20,10 @@ from geokit.errors import InputError, MissingDependencyError
 from geokit.points._io import PointCloud
 from geokit.render._backend import pyvista
 from geokit.render._camera import UP, View, camera_of, up_of, up_of_points, view_of
-from geokit.render._checks import (
+from geokit.render._grid import dense_field
+from geokit.render._passes import smooth_edges
+from geokit.render._shadow import add_shadow
+from geokit.render.looks.checks import (
     SEQUENTIAL,
     checked_colormap,
     checked_label,
@@ -31,10 +34,7 @@ from geokit.render._checks import (
     require_drawable,
     value_range,
 )
-from geokit.render._grid import dense_field
-from geokit.render._painted import bytes_of, is_painted, own_colors, painted, shaded, surface_of
-from geokit.render._passes import smooth_edges
-from geokit.render._shadow import add_shadow
+from geokit.render.looks.painted import SURFACE_COLOR, bytes_of, is_painted, own_colors, painted, shaded, surface_of
 
 if TYPE_CHECKING:
     from geokit.mesh.model.triangle_mesh import TriangleMesh
@@ -42,7 +42,6 @@ if TYPE_CHECKING:
 
 __all__ = ["figure"]
 
-SURFACE_COLOR = "#b9c4cf"
 POINT_COLOR = "#c0392b"
 # Samples along the longest side: enough for 800 pixels, at most 10 MB.
 SURFACE_RESOLUTION = 160

@@ -15,7 +15,8 @@ from geokit.core.interop.user_arrays import require_finite_scalar
 from geokit.core.memory.needs import needs
 from geokit.core.require import described, read_array, require_choice
 from geokit.errors import InputError
-from geokit.render._checks import (
+from geokit.render._image import new_axes, save_figure
+from geokit.render.looks.checks import (
     DIVERGING,
     FLAT,
     SEQUENTIAL,
@@ -25,7 +26,6 @@ from geokit.render._checks import (
     checked_target,
     value_range,
 )
-from geokit.render._image import new_axes, save_figure
 from geokit.volume.tree.leaves import require_volume
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ from geokit.core.memory.needs import needs
 from geokit.core.require import require_choice, require_count, require_items, require_one_world, require_path
 from geokit.errors import InputError
 from geokit.render._camera import UP
-from geokit.render._checks import SEQUENTIAL, checked_colormap, checked_label
+from geokit.render.looks.checks import SEQUENTIAL, checked_colormap, checked_label
 
 __all__ = ["Page", "open_in_browser", "show", "temporary_path", "view"]
 

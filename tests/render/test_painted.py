@@ -14,7 +14,7 @@ from PIL import Image
 import geokit as gk
 from geokit import render
 from geokit.render._backend import pyvista
-from geokit.render._painted import surface_of
+from geokit.render.looks.painted import surface_of
 
 SIZE = (160, 160)
 RED, GREEN, BLUE, WHITE = (255, 0, 0), (0, 255, 0), (0, 0, 255), (255, 255, 255)

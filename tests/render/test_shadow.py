@@ -14,8 +14,8 @@ import geokit as gk
 from geokit import render
 from geokit.errors import InputError
 from geokit.render._camera import up_of, up_of_points
-from geokit.render._checks import figure_bytes
 from geokit.render._shadow import hidden_sky
+from geokit.render.looks.checks import figure_bytes
 
 SIZE = (160, 120)
 

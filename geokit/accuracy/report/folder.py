@@ -18,7 +18,7 @@ from geokit.core.files import is_there
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_choice, require_flag, require_items, require_path
 from geokit.errors import FileAccessError, GeokitError, InputError
-from geokit.render._checks import FLAT
+from geokit.render.looks.checks import FLAT
 
 __all__ = ["check_folder", "write_report"]
 

@@ -16,7 +16,7 @@ from geokit.core.memory.struct_array import struct_rows, struct_table
 from geokit.mesh.model.triangle_mesh import trusted_mesh
 from geokit.mesh.queries.forest_pairs import self_intersecting
 from geokit.mesh.sign.queries import FAR
-from geokit.mesh.topology.connectivity import Topology, collapsed_faces, connected_components
+from geokit.mesh.topology.connectivity import MeshTopology, Topology, collapsed_faces, connected_components
 from geokit.mesh.topology.measures import DEGENERATE_RATIO, measure_each
 from geokit.mesh.topology.orientation import FLAT_SHARE
 
@@ -187,7 +187,6 @@ class ForestSigns:
 
         from geokit.mesh.sign.pseudonormals import pseudonormal_tables
         from geokit.mesh.sign.pseudonormals_kernels import Pseudonormals
-        from geokit.mesh.topology.connectivity import MeshTopology
 
         forest: Any = self._forest
         whole = trusted_mesh(self._vertices, self._faces, "", ())

@@ -14,7 +14,7 @@ from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.surfaces.objects import require_mesh
 from geokit.mesh.surfaces.surface import Surface
 from geokit.points._io import PointCloud
-from geokit.render._checks import DIVERGING, SEQUENTIAL
+from geokit.render.looks.checks import DIVERGING, SEQUENTIAL
 from geokit.render.viewer.surfaces import cloud_record, mesh_record, require_content
 from geokit.render.viewer.volumes import volume_record
 from geokit.volume.model.sparse_volume import SparseVolume

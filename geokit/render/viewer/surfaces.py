@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from geokit.errors import InputError
 from geokit.mesh.model.data import MEANINGS, has_meaning
 from geokit.mesh.topology.connectivity import position_corners
-from geokit.render._checks import require_drawable, value_range
-from geokit.render._painted import bytes_of, corner_alpha, corner_colors, is_painted
-from geokit.render._scene import SURFACE_COLOR
+from geokit.render.looks.checks import require_drawable, value_range
+from geokit.render.looks.painted import SURFACE_COLOR, bytes_of, corner_alpha, corner_colors, is_painted
 
 if TYPE_CHECKING:
     from geokit.mesh.model.triangle_mesh import TriangleMesh

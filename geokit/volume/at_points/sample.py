@@ -16,6 +16,7 @@ from geokit.core.require import described, whole_number
 from geokit.errors import InputError, UnsupportedGridError
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.types import COMPONENTS, INDEX_TYPES
+from geokit.volume.retyped.from_channel import from_channel
 from geokit.volume.sampling.space import query_inputs, require_space
 from geokit.volume.sampling.trilinear_table import gradient_linear, sample_linear
 from geokit.volume.tree.leaves import require_volume
@@ -218,8 +219,6 @@ def _valued(volume: SparseVolume, channel: int | str | None) -> SparseVolume:
     """The volume itself, or for an index grid the volume of values of one channel."""
     if channel is None and volume.info.grid_type not in INDEX_TYPES:
         return volume
-    from geokit.volume.retyped.from_channel import from_channel
-
     return from_channel(volume, 0 if channel is None else channel)
 
 

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = [
+    "SURFACE_COLOR",
     "Painted",
     "bytes_of",
     "corner_alpha",
@@ -31,6 +32,8 @@ __all__ = [
     "surface_of",
 ]
 
+# Of a mesh without colors of its own.
+SURFACE_COLOR = "#b9c4cf"
 # Edges sharper than this [degrees] stay sharp under smooth shading.
 FEATURE_ANGLE = 35.0
 

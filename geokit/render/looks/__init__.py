@@ -1,0 +1,1 @@
+"""What figures and pages share: checks of arguments, color maps, what a mesh says of its look."""
