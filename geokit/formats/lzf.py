@@ -25,7 +25,7 @@ def decompress(packed: NDArray[np.uint8], size: int) -> tuple[NDArray[np.uint8],
 
     Damage is a reference before the beginning, a run beyond the end, or a size other than the declared one.
     """
-    from geokit.native._parsers import parsers
+    from geokit.native.parsers.extension import parsers
 
     core = parsers()
     if core is None:
@@ -36,7 +36,7 @@ def decompress(packed: NDArray[np.uint8], size: int) -> tuple[NDArray[np.uint8],
 
 def compress(plain: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Compress ``plain`` with LZF; the result is at most a 32nd longer."""
-    from geokit.native._parsers import parsers
+    from geokit.native.parsers.extension import parsers
 
     core = parsers()
     if core is None:

@@ -20,7 +20,7 @@ from geokit.formats import lzf
 from geokit.formats.reader import process as reader_process
 from geokit.formats.table import FORMATS, Format, extensions, image_module, module_of
 from geokit.formats.text_files import decimal
-from geokit.native import _parsers
+from geokit.native.parsers import extension
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -209,7 +209,7 @@ def test_docstrings_list_the_formats():
 
 @pytest.fixture
 def without_parsers(monkeypatch):
-    monkeypatch.setattr(_parsers, "parsers", lambda: None)
+    monkeypatch.setattr(extension, "parsers", lambda: None)
 
 
 @pytest.mark.parametrize("size", [0, 1, 3, 32, 33, 264, 265, 8193, 20_000])
@@ -226,7 +226,7 @@ def test_lzf_in_python_is_that_in_cpp(kind, size, monkeypatch):
     damaged = packed.copy()
     damaged[:: max(len(packed) // 5, 1)] ^= 0xE1
     expected = lzf.decompress(damaged, size)[1]
-    monkeypatch.setattr(_parsers, "parsers", lambda: None)
+    monkeypatch.setattr(extension, "parsers", lambda: None)
     np.testing.assert_array_equal(lzf.compress(plain), packed)
     again, bad = lzf.decompress(packed, size)
     assert bad == -1
@@ -247,8 +247,8 @@ def test_text_without_the_parsers_has_the_same_numbers(tmp_path, monkeypatch):
     gk.points.save(tmp_path / "a.xyz", points)
     text = (tmp_path / "a.xyz").read_bytes()
     assert len(text) > decimal.SMALLEST
-    if _parsers.parsers() is not None:
+    if extension.parsers() is not None:
         assert decimal.plain_rows(text, text.index(b"\n"), len(text)) is not None
-    monkeypatch.setattr(_parsers, "parsers", lambda: None)
+    monkeypatch.setattr(extension, "parsers", lambda: None)
     assert decimal.plain_rows(text, text.index(b"\n"), len(text)) is None
     np.testing.assert_array_equal(gk.points.load(tmp_path / "a.xyz").points, points)

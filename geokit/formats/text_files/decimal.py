@@ -33,7 +33,7 @@ def plain_rows(data: bytes, start: int, stop: int) -> NDArray[np.float64] | None
 
 def parse(data: bytes, start: int, stop: int, chunk: int = CHUNK) -> NDArray[np.float64] | None:
     """Parse text of any size as :func:`plain_rows` does, in chunks of so many bytes."""
-    from geokit.native._parsers import parsers
+    from geokit.native.parsers.extension import parsers
 
     core = parsers()
     shape = None if core is None else _shape_of_first(data, start, stop)

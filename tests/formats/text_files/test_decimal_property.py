@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 import geokit as gk
 from geokit.formats.text_files import decimal
 from geokit.formats.text_files.decimal import parse
-from geokit.native._parsers import parsers
+from geokit.native.parsers.extension import parsers
 from geokit.points import _io as io
 from tests.support.effort import of_all
 

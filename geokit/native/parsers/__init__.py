@@ -1,0 +1,1 @@
+"""File parsers in C++: they need no OpenVDB."""
