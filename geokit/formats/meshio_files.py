@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from geokit._packages import require_package
 from geokit.errors import FileFormatError
 from geokit.formats.attributes.columns import as_columns, from_columns, xml_name
-from geokit.formats.body import Body
 from geokit.formats.exchange.gmsh import is_gmsh, read_gmsh
 from geokit.formats.exchange.xdmf import read_grid
+from geokit.formats.file_content.body import Body
 from geokit.mesh.model.data import full_scale, has_meaning
 
 if TYPE_CHECKING:

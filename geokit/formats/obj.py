@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from geokit._warn import warn
 from geokit.errors import FileFormatError
 from geokit.formats.attributes import mtl
-from geokit.formats.body import Body, FileMaterial
 from geokit.formats.columns import Columns
+from geokit.formats.file_content.body import Body, FileMaterial
 from geokit.formats.text import point_lines
 from geokit.formats.text_files.plain import plain_text
 from geokit.formats.text_files.words import as_number, numbers

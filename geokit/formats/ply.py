@@ -18,8 +18,8 @@ from geokit.core.files import in_one_line
 from geokit.errors import FileFormatError, InputError
 from geokit.formats.attributes.columns import as_columns, free_name, from_columns
 from geokit.formats.attributes.mtl import image_content
-from geokit.formats.body import Body, FileMaterial
 from geokit.formats.columns import AXES, Columns, joined, split
+from geokit.formats.file_content.body import Body, FileMaterial
 from geokit.formats.text_files.decimal import SMALLEST, plain_rows
 from geokit.formats.text_files.plain import plain_text
 from geokit.formats.text_files.words import as_number, numbers

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from geokit.core.memory.row_products import row_product
 from geokit.errors import FileFormatError, InputError
 from geokit.formats.attributes.joined import JoinedData
-from geokit.formats.body import Body
 from geokit.formats.ears import clip_ears
+from geokit.formats.file_content.body import Body
 from geokit.mesh.model.triangle_mesh import MeshPart, TriangleMesh
 
 __all__ = ["join", "triangulate"]

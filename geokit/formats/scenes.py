@@ -18,8 +18,8 @@ from geokit.core.files import refuse_pointer
 from geokit.errors import FileFormatError
 from geokit.formats.attributes import gltf
 from geokit.formats.attributes.columns import utf8
-from geokit.formats.body import Body, FileMaterial
-from geokit.formats.references import LONGEST, require_inside
+from geokit.formats.file_content.body import Body, FileMaterial
+from geokit.formats.file_content.references import LONGEST, require_inside
 from geokit.formats.scene_content.gltf import is_animated, opened
 from geokit.formats.scene_content.gltf_accessors import Accessors
 from geokit.formats.scene_content.gltf_shapes import local_pose

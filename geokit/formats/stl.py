@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from geokit.core.equal_rows import merge_equal_points
 from geokit.errors import FileFormatError
-from geokit.formats.body import Body
+from geokit.formats.file_content.body import Body
 from geokit.formats.text_files.plain import plain_text
 from geokit.formats.text_files.words import numbers
 

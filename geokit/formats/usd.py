@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 from geokit._packages import require_package
 from geokit.errors import FileAccessError, FileFormatError, GeokitError
-from geokit.formats.body import Body
-from geokit.formats.references import LONGEST, require_inside
+from geokit.formats.file_content.body import Body
+from geokit.formats.file_content.references import LONGEST, require_inside
 from geokit.formats.scene_content.usd_shapes import SHAPES, shape_body
 from geokit.formats.scene_content.usd_times import is_animated, time_of, value_of
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from geokit._packages import require_package
 from geokit.errors import FileAccessError, FileFormatError
 from geokit.formats import usd
-from geokit.formats.references import LONGEST, require_inside
+from geokit.formats.file_content.references import LONGEST, require_inside
 
 __all__ = ["NewField", "prepare", "read_grids", "write_stage"]
 

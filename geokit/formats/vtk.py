@@ -18,7 +18,7 @@ from geokit._warn import warn
 from geokit.core.base.forks import Lock
 from geokit.errors import FileFormatError
 from geokit.formats.attributes.columns import xml_name
-from geokit.formats.body import Body
+from geokit.formats.file_content.body import Body
 from geokit.mesh.model.data import has_meaning
 
 if TYPE_CHECKING:

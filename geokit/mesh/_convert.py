@@ -11,9 +11,9 @@ from geokit._warn import warn
 from geokit.core.interop.types import MeshLike
 from geokit.core.memory.needs import needs
 from geokit.errors import FileFormatError, MissingDependencyError
-from geokit.formats.attributes.held import what_is_held
 from geokit.formats.attributes.images import picture_of, pixels_of
-from geokit.formats.attributes.objects import UNITS
+from geokit.formats.held import what_is_held
+from geokit.formats.objects import UNITS
 from geokit.formats.table import Format
 from geokit.mesh.attributes.derived import with_data
 from geokit.mesh.attributes.seams import split_seams

@@ -22,10 +22,10 @@ from geokit.core.interop.user_arrays import require_finite_scalar
 from geokit.core.memory.needs import file_size, needs
 from geokit.core.require import require_count, require_flag, require_path, require_text
 from geokit.errors import InputError
-from geokit.formats.attributes.held import what_is_held
+from geokit.formats.file_content.references import allowed_folders
 from geokit.formats.foreign import require_format
+from geokit.formats.held import what_is_held
 from geokit.formats.reading_defaults import default_step, default_tolerance
-from geokit.formats.references import allowed_folders
 from geokit.formats.table import FORMATS, Format, extensions, module_of, with_formats
 from geokit.mesh._unit import convert_unit
 from geokit.mesh.attributes.derived import with_data

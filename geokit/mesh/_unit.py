@@ -11,7 +11,7 @@ from geokit.core.interop.types import MeshLike
 from geokit.core.memory.needs import needs
 from geokit.core.require import described, require_choice, require_number
 from geokit.errors import InputError
-from geokit.formats.attributes.objects import UNITS
+from geokit.formats.objects import UNITS
 from geokit.mesh._transform import transform
 from geokit.mesh.attributes.derived import with_data
 from geokit.mesh.model.triangle_mesh import TriangleMesh

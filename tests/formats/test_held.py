@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from geokit.formats.attributes.held import what_is_held
+from geokit.formats.held import what_is_held
 from geokit.formats.table import Format
 from geokit.mesh import TriangleMesh
 

@@ -28,7 +28,7 @@ TOY = '''
 """A line of counts, then vertices and faces."""
 import numpy as np
 from geokit.errors import FileFormatError
-from geokit.formats.body import Body
+from geokit.formats.file_content.body import Body
 
 
 def _read(path):

@@ -76,8 +76,8 @@ def build_app() -> App:
             return app(tokens or ["--help"], exit_on_error=False, print_error=False)
         # NumPy comes with these, and most commands do not need it to print their help.
         from geokit.core.content_limit import content_limit, set_default_limit
+        from geokit.formats.file_content.references import allowed_folders, set_default_folders
         from geokit.formats.reading_defaults import set_reading_defaults
-        from geokit.formats.references import allowed_folders, set_default_folders
 
         set_reading_defaults(cad_tolerance, time_step)
         set_default_limit(None if memory_limit is None else content_limit(0, memory_limit))

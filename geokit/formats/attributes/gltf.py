@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from geokit.errors import FileAccessError, FileFormatError
 from geokit.formats.attributes.columns import as_columns, from_columns, utf8
-from geokit.formats.body import FileMaterial
+from geokit.formats.file_content.body import FileMaterial
 from geokit.mesh.model.data import full_scale, has_meaning
 
 if TYPE_CHECKING:

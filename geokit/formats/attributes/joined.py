@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit._warn import warn
-from geokit.formats.body import Body, FileMaterial
+from geokit.formats.file_content.body import Body, FileMaterial
 from geokit.mesh.attributes.derived import turned_normals
 from geokit.mesh.model.data import Material, Texture, full_scale, has_meaning, with_alpha
 

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path, PurePosixPath
 
 from geokit.errors import FileAccessError
-from geokit.formats.body import FileMaterial
-from geokit.formats.references import LONGEST, require_inside
+from geokit.formats.file_content.body import FileMaterial
+from geokit.formats.file_content.references import LONGEST, require_inside
 from geokit.mesh.model.data import Material
 
 __all__ = [

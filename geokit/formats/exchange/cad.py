@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from geokit._packages import require_package
 from geokit.core.memory.row_products import row_product
 from geokit.errors import FileFormatError
-from geokit.formats.body import Body
+from geokit.formats.file_content.body import Body
 
 __all__ = ["prepare", "read_mesh"]
 

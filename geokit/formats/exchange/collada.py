@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from geokit._packages import require_package
 from geokit.errors import FileFormatError
 from geokit.formats.attributes.mtl import image_content
-from geokit.formats.body import Body, FileMaterial
+from geokit.formats.file_content.body import Body, FileMaterial
 
 __all__ = ["prepare", "read_mesh"]
 

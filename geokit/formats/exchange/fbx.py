@@ -18,7 +18,7 @@ from geokit._packages import require_package
 from geokit.core.files import in_one_line
 from geokit.errors import FileFormatError
 from geokit.formats.attributes.mtl import image_content
-from geokit.formats.body import Body, FileMaterial
+from geokit.formats.file_content.body import Body, FileMaterial
 
 __all__ = ["IN_PROCESS", "prepare", "read_mesh"]
 

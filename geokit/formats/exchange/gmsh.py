@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from geokit.errors import FileFormatError
 from geokit.formats.attributes.columns import from_columns
-from geokit.formats.body import Body
+from geokit.formats.file_content.body import Body
 from geokit.formats.text_files.decimal import plain_rows
 
 __all__ = ["is_gmsh", "read_gmsh"]

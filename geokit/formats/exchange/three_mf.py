@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.errors import FileFormatError
-from geokit.formats.body import Body
+from geokit.formats.file_content.body import Body
 
 if TYPE_CHECKING:
     from geokit.mesh.model.triangle_mesh import TriangleMesh

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from geokit._packages import require_package
 from geokit.errors import FileAccessError, FileFormatError
-from geokit.formats.references import LONGEST, require_inside
+from geokit.formats.file_content.references import LONGEST, require_inside
 
 __all__ = ["read_grid"]
 

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from geokit._packages import require_package
 from geokit.core.files import in_one_line
 from geokit.errors import FileFormatError
+from geokit.formats.file_content.references import allowed_folders, require_inside
 from geokit.formats.images.image import Image, affine, grids_of, reading, scaled
-from geokit.formats.references import allowed_folders, require_inside
 
 __all__ = ["open_images"]
 

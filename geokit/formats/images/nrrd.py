@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from geokit._packages import require_package
 from geokit.errors import FileFormatError
+from geokit.formats.file_content.references import allowed_folders, require_inside
 from geokit.formats.images.image import (
     Image,
     affine,
@@ -31,7 +32,6 @@ from geokit.formats.images.image import (
 )
 from geokit.formats.images.stream import packed_writer, slabs_in
 from geokit.formats.reader.warnings import warn_of
-from geokit.formats.references import allowed_folders, require_inside
 
 __all__ = ["open_images", "write_image"]
 

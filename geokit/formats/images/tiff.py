@@ -20,6 +20,7 @@ from geokit._packages import require_package
 from geokit._warn import warn
 from geokit.core.files import in_one_line
 from geokit.errors import FileAccessError, FileFormatError, MissingDependencyError
+from geokit.formats.file_content.references import allowed_folders, require_inside
 from geokit.formats.images.image import (
     METERS,
     Image,
@@ -35,7 +36,6 @@ from geokit.formats.images.image import (
 )
 from geokit.formats.images.stream import rows_at_a_time, slabs_in
 from geokit.formats.reader import process as reader_process
-from geokit.formats.references import allowed_folders, require_inside
 
 __all__ = ["open_images", "prepare", "read_grids", "write_image"]
 

@@ -22,6 +22,7 @@ from geokit._packages import require_package
 from geokit.core.content_limit import require_content
 from geokit.core.files import in_one_line
 from geokit.errors import FileFormatError
+from geokit.formats.file_content.references import allowed_folders, require_inside
 from geokit.formats.images.image import (
     Image,
     fitting_codec,
@@ -35,7 +36,6 @@ from geokit.formats.images.image import (
 )
 from geokit.formats.images.stream import rows_at_a_time
 from geokit.formats.images.zarr_chunks import hold_chunks, open_store
-from geokit.formats.references import allowed_folders, require_inside
 
 __all__ = ["open_images", "write_image"]
 

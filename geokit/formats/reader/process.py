@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from geokit.core.files import in_one_line
 from geokit.core.memory.available_memory import available_host
 from geokit.errors import FileAccessError, FileFormatError, GeokitError, MissingDependencyError, WorkerError
-from geokit.formats.body import Body, FileMaterial
+from geokit.formats.file_content.body import Body, FileMaterial
 from geokit.formats.reader import server as reader_server
 from geokit.formats.reader.warnings import warn_of
 from geokit.formats.reader.worker import HEAD_SIZE

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.errors import FileAccessError, FileFormatError, MissingDependencyError
-from geokit.formats.body import Body
+from geokit.formats.file_content.body import Body
 
 __all__ = ["read_mesh", "read_points"]
 

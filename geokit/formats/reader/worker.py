@@ -25,7 +25,7 @@ from types import ModuleType
 from typing import Any, NamedTuple, TypedDict
 
 from geokit.errors import FileAccessError, FileFormatError
-from geokit.formats.body import Body
+from geokit.formats.file_content.body import Body
 from geokit.formats.reader.warnings import collected
 
 __all__ = ["HEAD_SIZE", "READY", "Request", "encoded", "main"]

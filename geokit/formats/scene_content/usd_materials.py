@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from geokit.errors import FileAccessError
 from geokit.formats.attributes.gltf import has_alpha
 from geokit.formats.attributes.mtl import LARGEST_FILE, image_content
-from geokit.formats.body import FileMaterial
-from geokit.formats.references import LONGEST, require_inside
+from geokit.formats.file_content.body import FileMaterial
+from geokit.formats.file_content.references import LONGEST, require_inside
 
 if TYPE_CHECKING:
     from geokit.mesh.model.data import Material

@@ -8,7 +8,7 @@ from array import array
 from collections.abc import Callable
 from typing import Any
 
-from geokit.formats.body import Body
+from geokit.formats.file_content.body import Body
 from geokit.formats.scene_content.usd_times import value_of
 
 __all__ = ["SHAPES", "shape_body"]

@@ -14,8 +14,8 @@ from geokit.core.memory.needs import needs
 from geokit.core.require import read_array
 from geokit.errors import InputError
 from geokit.formats.attributes.joined import JoinedData
-from geokit.formats.attributes.objects import carried_by
-from geokit.formats.body import Body
+from geokit.formats.file_content.body import Body
+from geokit.formats.objects import carried_by
 from geokit.formats.polygons import triangulate
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 

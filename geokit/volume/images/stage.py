@@ -18,8 +18,8 @@ from geokit.core.base.private_folder import private_folder, temporary_parent
 from geokit.core.files import atomic_path, extension
 from geokit.core.require import require_one_world
 from geokit.errors import FileFormatError, GeokitError, InputError, UnsupportedGridError
+from geokit.formats.file_content.references import allowed_folders
 from geokit.formats.reader import process, trusted
-from geokit.formats.references import allowed_folders
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.checks import mark_checked
 from geokit.volume.nanovdb.checksum import partial_checksum

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import geokit as gk
+from geokit.formats.file_content.references import set_default_folders
 from geokit.formats.images import zarr_image
-from geokit.formats.references import set_default_folders
 from geokit.volume.images import save
 from tests.formats.images.test_places import INDICES, LPS, STRAIGHT, VALUES, assert_there, at, turned, volume_at, world
 

@@ -29,7 +29,7 @@ pytestmark = pytest.mark.process
 READER = """
 import array, builtins, os, signal, socket, sys, time, warnings
 from geokit.formats.reader import worker as reader_worker
-from geokit.formats.body import Body
+from geokit.formats.file_content.body import Body
 
 def prepare():
     pass

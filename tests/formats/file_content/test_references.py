@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from geokit import FileAccessError, FileFormatError, InputError, mesh, volume
-from geokit.formats.references import require_inside, set_default_folders
+from geokit.formats.file_content.references import require_inside, set_default_folders
 
 # Most of them start the processes of the readers; the image of each .gltf lies outside.
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore:.*a texture is left out")]

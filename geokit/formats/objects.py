@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from geokit.core.interop.objects import POLYGON_CELLS, attribute, getattr_or_none, host
 from geokit.formats.attributes.images import as_read, png_of
-from geokit.formats.body import Body, FileMaterial
+from geokit.formats.file_content.body import Body, FileMaterial
 from geokit.formats.meshio_files import named
 from geokit.formats.vtk import unit_of
 
