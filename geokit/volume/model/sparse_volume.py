@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from geokit.core.base.object_cache import CacheAttribute
 from geokit.core.interop.notebook import repr_html, show
-from geokit.core.interop.types import Devices, Rows
+from geokit.core.interop.types import Device, Devices, Rows
 from geokit.core.memory.needs import needs
 from geokit.core.require import described, require_instance
 from geokit.errors import InputError
@@ -140,7 +140,7 @@ class SparseVolume:
         bounds: ArrayLike | None = None,
         dtype: Any = None,
         channel: int | str | None = None,
-        device: Devices = None,
+        device: Device = None,
     ) -> DenseGrid:
         """See :func:`geokit.volume.to_dense`."""
         from geokit.volume._dense import to_dense
