@@ -32,9 +32,8 @@ USUAL = {Surface: "closest_point", SparseVolume: "sample", NeighborGrid: "count"
 def _queries(thing: Any) -> dict[str, Query]:
     """The queries of an object with an answer for each row, by name."""
     # Methods of a volume are verbs of its room.
-    names = [name for name in vars(SparseVolume) if hasattr(volume, name)]
-    home = {name: getattr(volume, name) for name in names} if isinstance(thing, SparseVolume) else type(thing)
-    return {name: query for name, query in queries_of(home).items() if query.has_rows}
+    found = queries_of(volume, vars(SparseVolume)) if isinstance(thing, SparseVolume) else queries_of(type(thing))
+    return {name: query for name, query in found.items() if query.has_rows}
 
 
 def _bytes(surface: Any, points: Any, *_: Any, **__: Any) -> int:

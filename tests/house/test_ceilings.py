@@ -23,7 +23,7 @@ from tests.house.test_rooms import FORWARDING, PACKAGE, edges
 # to verbs. Annotations of public names with Any.
 MOST_FILES = 26
 CEILINGS = {
-    "lines": 117558,
+    "lines": 117551,
     "files in mesh/bvh": 55,
     "files in mesh/queries": 35,
     "files in native/src": 42,

@@ -6,7 +6,7 @@ import dataclasses
 import importlib
 import inspect
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 __all__ = ["FIRST_ALONE", "QUERIES", "Query", "queries_of"]
@@ -22,8 +22,7 @@ class Query:
     Attributes:
         function: Answers a call on one device, for arguments without gradients, of an object that stays as it is.
         rows: Its next parameters that are tables (N, 3), of one row for each answer: points, or ``directions``.
-        is_turned: Whether the answer, of one array, is directions. Of several arrays, ``points`` are points and
-            ``normals`` are directions.
+        is_turned: Whether the answer, of one array, is directions.
         places: Called beside a transform with the object and the options, to refuse some.
         gradient: Rule of the answer's derivatives, as ".module:NAME" beside its own module; None if there is none.
         is_stepped: Without a rule: the answer is numbers or sides that change in steps, so that a derivative is 0 or
@@ -40,6 +39,8 @@ class Query:
         positional: Names of those that may be given by position.
         others: Names of those that are no inputs.
         kind: NamedTuple of the answer, or None for a single array.
+        is_ragged: Whether the answer is lists of any length, with ``offsets`` of each row's.
+        moved: Fields of the answer that are points or directions: ``points`` and ``normals``.
         is_method: Whether it is a method.
         is_packed: Whether it is asked of many objects, with ``offsets`` of each one's rows. The function itself sees
             the transforms then, and the leading axes of rows.
@@ -74,6 +75,9 @@ class Query:
         # Results are defined above the queries that return them.
         kind = self.function.__globals__.get(str(self._signature.return_annotation))
         self.kind: Any = kind if hasattr(kind, "_fields") else None
+        fields = self.kind._fields if self.kind else ()
+        self.is_ragged = "offsets" in fields
+        self.moved = tuple(field for field in fields if field in ("points", "normals"))
         self.is_method = self.positional[:1] == ("self",)
         self.is_packed = "offsets" in given
         self.is_single = bool(self.rows) and not self.is_packed
@@ -86,7 +90,7 @@ class Query:
     @property
     def has_rows(self) -> bool:
         """Whether each row has a row of the answer, which depends on no other row."""
-        return self.least_rows is not None and "offsets" not in getattr(self.kind, "_fields", ())
+        return self.least_rows is not None and not self.is_ragged
 
     def rule(self) -> Any:
         """The rule of its gradients; its module is imported by the first call with gradients."""
@@ -123,8 +127,8 @@ class Query:
 QUERIES: dict[str, Query] = {}
 
 
-def queries_of(home: Any) -> dict[str, Query]:
-    """The queries among the public attributes of a class, or among functions by name."""
-    found = home if isinstance(home, dict) else {name: getattr(home, name) for name in dir(home) if name[0] != "_"}
-    records = {name: getattr(one, "query", None) for name, one in found.items()}
-    return {name: query for name, query in records.items() if isinstance(query, Query)}
+def queries_of(home: Any, names: Iterable[str] = ()) -> dict[str, Query]:
+    """The queries among attributes of a class or a module, by name; without names, among all that are public."""
+    asked = names or [name for name in dir(home) if not name.startswith("_")]
+    found = {name: getattr(getattr(home, name, None), "query", None) for name in asked}
+    return {name: query for name, query in found.items() if isinstance(query, Query)}

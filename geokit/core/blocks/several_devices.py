@@ -110,7 +110,8 @@ def shows_arguments(cls: _Class) -> _Class:
 
 def are_asked(given: Sequence[Any], options: Mapping[str, Any]) -> bool:
     """Whether a call is one of several devices: of its object, or of its option ``device``."""
-    return (len(given) > 0 and isinstance(given[0], OnDevices)) or launcher.is_several(options.get("device"))
+    device = options.get("device")
+    return (len(given) > 0 and isinstance(given[0], OnDevices)) or (device is not None and launcher.is_several(device))
 
 
 def answer(query: Query, given: tuple[Any, ...], options: dict[str, Any]) -> Any:

@@ -138,7 +138,7 @@ def owner_of(query: Query, name: str) -> tuple[str, str]:
 
 def shaped(query: Query, answer: Any, lead: tuple[int, ...]) -> Any:
     """The answer with other leading axes, from that for a table of the rows; lists stay those of the table."""
-    if "offsets" in getattr(query.kind, "_fields", ()):
+    if query.is_ragged:
         return answer
     return led(answer, lead) if query.kind is None else query.kind(*(led(out, lead) for out in answer))
 

@@ -65,6 +65,8 @@ def answer(query: Query, search: Callable[..., Any], given: tuple[Any, ...], opt
         search: ``search(query, given, options)`` answers all other calls.
         given, options: Its arguments.
     """
+    if not query.is_replayed:
+        return search(query, given, options)
     torch: Any = sys.modules.get("torch")
     rows = len(query.rows)
     if torch is not None and len(given) > rows and type(given[1]) is torch.Tensor:

@@ -78,10 +78,10 @@ def needs(
 
         @functools.wraps(function)
         def run(*args: _Parameters.args, **kwargs: _Parameters.kwargs) -> _Result:
-            if late:
-                return guarded(what, lambda: bytes_of(*args, **kwargs), function, *args, **kwargs)
-            stated = bytes_of(*args, **kwargs)
-            require_free(stated, what, always=fatal)
+            stated = 0
+            if not late:
+                stated = bytes_of(*args, **kwargs)
+                require_free(stated, what, always=fatal)
             # Where memory has run out, the estimate may not be found a second time.
             return guarded(what, lambda: stated or bytes_of(*args, **kwargs), function, *args, **kwargs)
 

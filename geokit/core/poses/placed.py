@@ -13,7 +13,7 @@ from geokit.core.interop import user_arrays
 from geokit.core.poses.move import move, require_rigid
 from geokit.errors import InputError
 
-__all__ = ["answer", "moved_fields", "refuse_gradients"]
+__all__ = ["answer", "refuse_tracked"]
 
 
 def answer(query: Query, given: tuple[Any, ...], options: dict[str, Any]) -> Any:
@@ -32,7 +32,7 @@ def answer(query: Query, given: tuple[Any, ...], options: dict[str, Any]) -> Any
     body, *values = *given, *(options.pop(name) for name in expected[len(given) :])
     if query.places is not None:
         query.places(body, **options)
-    refuse_gradients(query, (body, *values), options)
+    refuse_tracked(query, (body, *values), options)
     device = body._device if hasattr(body, "_device") else launcher.resolve_device(options.get("device"))
     to_body: Any = np.linalg.inv(matrix)
     batches = user_arrays.read_rows(values[: len(query.rows)], query.rows, device)
@@ -44,19 +44,14 @@ def answer(query: Query, given: tuple[Any, ...], options: dict[str, Any]) -> Any
     if query.kind is None:
         return give(move(found, matrix, turned=True) if query.is_turned else found)
     fields = found._asdict()
-    for field in moved_fields(query):
+    for field in query.moved:
         fields[field] = move(fields[field], matrix, turned=field == "normals")
-    if "offsets" in fields:
+    if query.is_ragged:
         give = batches[0].to_lists or give
     return query.kind(*map(give, fields.values()))
 
 
-def moved_fields(query: Query) -> list[str]:
-    """Fields of the answer that are points, and directions."""
-    return [field for field in getattr(query.kind, "_fields", ()) if field in ("points", "normals")]
-
-
-def refuse_gradients(query: Query, given: tuple[Any, ...], options: dict[str, Any]) -> None:
+def refuse_tracked(query: Query, given: tuple[Any, ...], options: dict[str, Any]) -> None:
     """Refuse tensors with gradients beside a transform, through which it carries none.
 
     Raises:

@@ -40,7 +40,7 @@ def query(*rows: str, **facts: Any) -> Callable[[Callable[_Arguments, _Answer]],
             return found
 
         record.call = run
-        record.answer = lambda *given, **options: _answer(record, given, options)
+        record.answer = lambda *given, **options: replay.answer(record, _search, given, options)
         run.query, run._geokit_bytes = record, functools.partial(_need, record)  # type: ignore[attr-defined]
         return run
 
@@ -62,7 +62,7 @@ def ask(query: Query, given: tuple[Any, ...], options: dict[str, Any]) -> Any:
         if options["transform"] is None:
             del options["transform"]
         elif query.is_packed:
-            placed.refuse_gradients(query, given, options)
+            placed.refuse_tracked(query, given, options)
         else:
             need = functools.partial(_need, query, *given, **options)
             return guarded(query.name, need, placed.answer, query, given, options)
@@ -74,15 +74,8 @@ def ask(query: Query, given: tuple[Any, ...], options: dict[str, Any]) -> Any:
     elif not query.is_stepped:
         for holder in given[:1] or options.values():
             require_constant(holder, query.name)
-    return _answer(query, given, options)
-
-
-def _answer(query: Query, given: tuple[Any, ...], options: dict[str, Any]) -> Any:
-    """The answer for arguments without gradients."""
     # 4. A small call on a CPU that was made before: its launches again, for these rows.
-    if query.is_replayed:
-        return replay.answer(query, _search, given, options)
-    return _search(query, given, options)
+    return replay.answer(query, _search, given, options)
 
 
 def _search(query: Query, given: tuple[Any, ...], options: dict[str, Any]) -> Any:
@@ -98,5 +91,5 @@ def _need(query: Query, *given: Any, **options: Any) -> int:
     transform = options.pop("transform", None) if query.is_placed else None
     first = query.rows[:1]
     rows = count(given[1] if len(given) > 1 else options.get(*first)) if first else 0
-    moves = 0 if transform is None else len(query.rows) + len(placed.moved_fields(query))
+    moves = 0 if transform is None else len(query.rows) + len(query.moved)
     return estimated(query.memory, given, options) + (query.row_bytes + BYTES_PER_MOVE * moves) * rows
