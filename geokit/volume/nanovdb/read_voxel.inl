@@ -20,38 +20,23 @@ switch (grid_type) {
     SCALAR_TYPES(VOXEL_CASE)
 default: result = (double)NAN;
 }
-#elif COMPONENTS == 3
-#define VOXEL_CASE(NAME, kind)                                                                                         \
-case PNANOVDB_GRID_TYPE_##NAME:                                                                                        \
-    result[0] = COMPONENT(NAME, kind, 0);                                                                              \
-    result[1] = COMPONENT(NAME, kind, 1);                                                                              \
-    result[2] = COMPONENT(NAME, kind, 2);                                                                              \
-    break;
-wp::vec_t<3, double> result;
-switch (grid_type) {
-    VECTOR3_TYPES(VOXEL_CASE)
-default:
-    result[0] = (double)NAN;
-    result[1] = (double)NAN;
-    result[2] = (double)NAN;
-}
 #else
+#if COMPONENTS == 3
+#define TYPES VECTOR3_TYPES
+#else
+#define TYPES VECTOR4_TYPES
+#endif
 #define VOXEL_CASE(NAME, kind)                                                                                         \
 case PNANOVDB_GRID_TYPE_##NAME:                                                                                        \
-    result[0] = COMPONENT(NAME, kind, 0);                                                                              \
-    result[1] = COMPONENT(NAME, kind, 1);                                                                              \
-    result[2] = COMPONENT(NAME, kind, 2);                                                                              \
-    result[3] = COMPONENT(NAME, kind, 3);                                                                              \
+    for (unsigned e = 0u; e < COMPONENTS; ++e) result[e] = COMPONENT(NAME, kind, e);                                   \
     break;
-wp::vec_t<4, double> result;
+wp::vec_t<COMPONENTS, double> result;
 switch (grid_type) {
-    VECTOR4_TYPES(VOXEL_CASE)
+    TYPES(VOXEL_CASE)
 default:
-    result[0] = (double)NAN;
-    result[1] = (double)NAN;
-    result[2] = (double)NAN;
-    result[3] = (double)NAN;
+    for (unsigned e = 0u; e < COMPONENTS; ++e) result[e] = (double)NAN;
 }
+#undef TYPES
 #endif
 #undef VOXEL_CASE
 #undef COMPONENT

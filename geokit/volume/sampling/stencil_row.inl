@@ -13,27 +13,16 @@ wp::vec_t<4, double> row;
 #define STORE_NAN row[q] = (double)NAN;
 #else
 wp::mat_t<COMPONENTS, 4, double> row;
-#define LEAF_PART(NAME, kind, e) row.data[e][q] = (double)(LEAF_##kind(NAME, e)) - center[e];
-#define TILE_PART(kind, e) row.data[e][q] = (double)(TILE_##kind(leaf.address, e)) - center[e];
 #if COMPONENTS == 3
 #define TYPES VECTOR3_TYPES
-#define STORE_LEAF(NAME, kind) LEAF_PART(NAME, kind, 0) LEAF_PART(NAME, kind, 1) LEAF_PART(NAME, kind, 2)
-#define STORE_TILE(kind) TILE_PART(kind, 0) TILE_PART(kind, 1) TILE_PART(kind, 2)
-#define STORE_NAN                                                                                                      \
-    row.data[0][q] = (double)NAN;                                                                                      \
-    row.data[1][q] = (double)NAN;                                                                                      \
-    row.data[2][q] = (double)NAN;
 #else
 #define TYPES VECTOR4_TYPES
-#define STORE_LEAF(NAME, kind)                                                                                         \
-    LEAF_PART(NAME, kind, 0) LEAF_PART(NAME, kind, 1) LEAF_PART(NAME, kind, 2) LEAF_PART(NAME, kind, 3)
-#define STORE_TILE(kind) TILE_PART(kind, 0) TILE_PART(kind, 1) TILE_PART(kind, 2) TILE_PART(kind, 3)
-#define STORE_NAN                                                                                                      \
-    row.data[0][q] = (double)NAN;                                                                                      \
-    row.data[1][q] = (double)NAN;                                                                                      \
-    row.data[2][q] = (double)NAN;                                                                                      \
-    row.data[3][q] = (double)NAN;
 #endif
+#define EACH(value)                                                                                                    \
+    for (unsigned e = 0u; e < COMPONENTS; ++e) row.data[e][q] = value;
+#define STORE_LEAF(NAME, kind) EACH((double)(LEAF_##kind(NAME, e)) - center[e])
+#define STORE_TILE(kind) EACH((double)(TILE_##kind(leaf.address, e)) - center[e])
+#define STORE_NAN EACH((double)NAN)
 #endif
 #define LEAF_CASE(NAME, kind)                                                                                          \
     case PNANOVDB_GRID_TYPE_##NAME:                                                                                    \
@@ -74,8 +63,7 @@ for (int part = 0; part < parts; ++part) {
     }
 }
 #undef TYPES
-#undef LEAF_PART
-#undef TILE_PART
+#undef EACH
 #undef STORE_LEAF
 #undef STORE_TILE
 #undef STORE_NAN
