@@ -10,6 +10,8 @@ do {
     const double t = along_x ? tx : along_y ? ty : tz;
     const double next = t > ta ? t : ta;
     if (block[x] >> (y << 3 | z) & 1) {
+        // The ray ends in this block, before this cell.
+        if (!(ta <= last)) break;
 #include "volume/rays/block_cell.inl"
     } else {
         unseen = along_x ? 4 * (1 - fx) : along_y ? 2 * (1 - fy) : 1 - fz;

@@ -18,6 +18,8 @@ do {
     const double t = pick(along_x, tx, pick(along_y, ty, tz));
     const double next = t > ta ? t : ta;
     if (block[cell >> 20 & 7] >> ((cell >> 7 & 56) | (cell & 7)) & 1) {
+        // The ray ends in this block, before this cell.
+        if (!(ta <= last)) break;
         const int x = cell >> 20 & 7, y = cell >> 10 & 7, z = cell & 7;
 #include "volume/rays/block_cell.inl"
     } else {

@@ -206,6 +206,16 @@ class TestRays:
         assert raycast(volume, origins, directions, t_min=20.5, device="cpu").t[0] == math.inf
         assert raycast(volume, origins, directions, t_min=5.0, max_distance=8.0, device="cpu").t[0] == math.inf
 
+    @pytest.mark.parametrize("reach", [0.5, 3.0, 6.0, 11.0])
+    def test_nothing_is_hit_beyond_the_reach(self, reach, monkeypatch):
+        # Most rays end between two crossings in one block.
+        volume = Field(np.random.default_rng(3).normal(size=(16, 16, 16))).volume
+        start, toward = rays_through(np.zeros(3), np.full(3, 15.0), 400, seed=4)
+        toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+        hits = both_ways(monkeypatch, volume, start, toward, max_distance=reach)
+        assert np.isfinite(hits.t).any()
+        assert (hits.t[np.isfinite(hits.t)] <= reach * (1 + 1e-12)).all()
+
 
 class TestSmallGrids:
     def test_empty_grid(self):
