@@ -49,7 +49,9 @@ def func_native(
         text = f"\n{named}{cpp(file, defines=defines, **constants)}{call}\n"
         if file.endswith("_cpu.inl"):
             text = f"\n#if !defined(__CUDA_ARCH__){text}#endif\n"
-        return wp.func_native(text)(declaration)
+        # Overloads: warp looks for the earlier one among the locals of who calls func_native.
+        name, given = declaration.__name__, {"func_native": wp.func_native, "text": text}
+        return eval("func_native(text)", given, {name: declaration.__globals__.get(name)})(declaration)
 
     return declare
 

@@ -19,7 +19,7 @@ from typing import Any
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -29,71 +29,33 @@ BLOCK_WORDS = 16
 FARTHEST = wp.constant(32)
 
 
-def _mark(is_float: int) -> str:
-    return cpp("volume/rays/mark_blocks.inl", defines={"FLOAT_GRID": str(is_float)})
+NUMBERS = {"FARTHEST": int(FARTHEST), "BLOCK_WORDS": BLOCK_WORDS}
 
 
-def _write(is_float: int) -> str:
-    return cpp(
-        "volume/rays/write_blocks.inl",
-        defines={"FLOAT_GRID": str(is_float)},
-        FARTHEST=int(FARTHEST),
-        BLOCK_WORDS=BLOCK_WORDS,
-    )
-
-
-# Overloads: float grids or all other types, by the type of ``below`` and ``above``, which are the voxel type's numbers
-# below and above the isovalue.
-@wp.func_native(_mark(1))
+# ``below`` and ``above`` are the voxel type's numbers below and above the isovalue: float32 for grids of floats,
+# float64 for all other types.
+@cpp.func_native("volume/rays/crossing_blocks.inl", **NUMBERS)
 def mark_row(
     row: int,
     volume: wp.uint64,
     anchor: wp.vec3i,
     first_block: wp.vec3i,
     block_count: wp.vec3i,
-    below: wp.float32,
-    above: wp.float32,
+    below: Any,
+    above: Any,
     out_busy: wp.array(dtype=int),
 ): ...
 
 
-@wp.func_native(_mark(0))
-def mark_row(  # noqa: F811
-    row: int,
-    volume: wp.uint64,
-    anchor: wp.vec3i,
-    first_block: wp.vec3i,
-    block_count: wp.vec3i,
-    below: wp.float64,
-    above: wp.float64,
-    out_busy: wp.array(dtype=int),
-): ...
-
-
-@wp.func_native(_write(1))
+@cpp.func_native("volume/rays/crossing_blocks.inl", **NUMBERS)
 def write_row(
     row: int,
     volume: wp.uint64,
     anchor: wp.vec3i,
     first_block: wp.vec3i,
     block_count: wp.vec3i,
-    below: wp.float32,
-    above: wp.float32,
-    numbers: wp.array(dtype=int),
-    out_distance: wp.array(dtype=wp.int8),
-    out_blocks: wp.array(dtype=wp.uint64),
-): ...
-
-
-@wp.func_native(_write(0))
-def write_row(  # noqa: F811
-    row: int,
-    volume: wp.uint64,
-    anchor: wp.vec3i,
-    first_block: wp.vec3i,
-    block_count: wp.vec3i,
-    below: wp.float64,
-    above: wp.float64,
+    below: Any,
+    above: Any,
     numbers: wp.array(dtype=int),
     out_distance: wp.array(dtype=wp.int8),
     out_blocks: wp.array(dtype=wp.uint64),
@@ -128,16 +90,7 @@ def write_blocks_kernel(
     out_blocks: wp.array(dtype=wp.uint64),
 ):
     write_row(
-        first + wp.tid(),
-        volume,
-        anchor,
-        first_block,
-        block_count,
-        below,
-        above,
-        numbers,
-        out_distance,
-        out_blocks,
+        first + wp.tid(), volume, anchor, first_block, block_count, below, above, numbers, out_distance, out_blocks
     )
 
 
@@ -187,7 +140,7 @@ def spread_distance_kernel(
     out_distance[k] = wp.int8(best)
 
 
-@wp.func_native(cpp("volume/rays/spread_line_cpu.inl", FARTHEST=int(FARTHEST)))
+@cpp.func_native("volume/rays/crossing_blocks.inl", **NUMBERS)
 def spread_line(
     line: int,
     total: int,

@@ -1,6 +1,6 @@
 """Derivatives of transmittances and emissions with respect to rays and to the active values of both grids.
 
-A second walk along the ray has them in closed form: see emission_slopes_start.inl.
+A second walk along the ray has them in closed form: see integrate_slopes.inl.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ from typing import Any
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 from geokit.volume.rays.raycast_kernels import RayField, index_ray, is_usable
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
@@ -17,42 +17,34 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll":
 # Largest optical depth of a step of the emission's quadrature. The integrand is a cubic times e^-x, where x is a
 # quartic; six Gauss points are then off by 1e-12, and four were off by 1e-7 in rough fields.
 STEP_DEPTH = 0.5
-NO_EMISSION = "e0 == 0.0 && e1 == 0.0 && e2 == 0.0 && e3 == 0.0"
 # The shortest step, as a share of a cell. Where the density needs a shorter one, no light leaves the cell anyway.
 SHORTEST_STEP = 1e-12
 # e^-x is zero in float64 beyond this.
 OPAQUE = 746.0
 
 
-def _depth(is_float: int) -> str:
-    defines = {"FLOAT_GRID": str(is_float), "ON_CELL": '"volume/rays/depth_cell.inl"'}
-    return cpp("volume/rays/depth.inl", defines=defines)
+NUMBERS = {"STEP_DEPTH": STEP_DEPTH, "SHORTEST_STEP": SHORTEST_STEP, "OPAQUE": OPAQUE}
 
 
-# Overloads: float grids or all other types, by the type of the last argument.
-@wp.func_native(_depth(1))
+# Warp takes no Any where something is returned.
+@cpp.func_native("volume/rays/integrate.inl", **NUMBERS)
 def optical_depth(
     field: RayField, start: wp.vec3d, toward: wp.vec3d, t_first: wp.float64, t_last: wp.float64, family: wp.float32
 ) -> wp.float64:
-    """Integral of the values along a ray, with lengths in units of ``toward``."""
+    """Integral of the values along a ray, with lengths in units of ``toward``.
+
+    The type of ``family`` is float32 for grids of floats, float64 for all other types.
+    """
     ...
 
 
-@wp.func_native(_depth(0))
+@cpp.func_native("volume/rays/integrate.inl", **NUMBERS)
 def optical_depth(  # noqa: F811
     field: RayField, start: wp.vec3d, toward: wp.vec3d, t_first: wp.float64, t_last: wp.float64, family: wp.float64
 ) -> wp.float64: ...
 
 
-@wp.func_native(
-    cpp(
-        "volume/rays/emission.inl",
-        defines={"FLOAT_GRID": "0", "ON_CELL": '"volume/rays/emission_cell.inl"', "IS_DARK": NO_EMISSION},
-        STEP_DEPTH=STEP_DEPTH,
-        SHORTEST_STEP=SHORTEST_STEP,
-        OPAQUE=OPAQUE,
-    )
-)
+@cpp.func_native("volume/rays/integrate.inl", **NUMBERS)
 def depth_and_emission(
     field: RayField,
     emission_volume: wp.uint64,

@@ -8,8 +8,8 @@ above the largest share, which a first walk finds.
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
-from geokit.volume.rays.integrate_kernels import NO_EMISSION, OPAQUE, SHORTEST_STEP, STEP_DEPTH
+from geokit.core import cpp
+from geokit.volume.rays.integrate_kernels import NUMBERS
 from geokit.volume.rays.raycast_kernels import RayField, index_ray
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
@@ -23,33 +23,14 @@ WHOLE = 2.0**39
 LARGEST_RECIPROCAL_BITS = (1023 + 960) << 52
 
 
-def _slopes(rays: int, on_share: str) -> str:
-    hooks = {"ON_CELL": "cell", "ON_LIGHT_CELL": "light_cell", "ON_LIGHT": "light", "ON_STRETCH": "stretch"}
-    hooks |= {"ON_END": "end", "ON_SHARE": on_share}
-    files = {name: f'"volume/rays/emission_slopes_{file}.inl"' for name, file in hooks.items()}
-    # Where the emission's values are asked for, those that are 0 have derivatives too.
-    dark = f"glow == 0.0 || (least_light.shape[0] == 0 && {NO_EMISSION})"
-    return cpp(
-        "volume/rays/emission_slopes_start.inl",
-        "volume/rays/emission.inl",
-        defines={"FLOAT_GRID": "0", "RAYS": str(rays), "IS_DARK": dark, **files},
-        STEP_DEPTH=STEP_DEPTH,
-        SHORTEST_STEP=SHORTEST_STEP,
-        OPAQUE=OPAQUE,
-        WHOLE=WHOLE,
-    )
-
-
-@wp.func_native(_slopes(1, "measure"))
+@cpp.func_native("volume/rays/integrate_slopes.inl", WHOLE=WHOLE, **NUMBERS)
 def measure_slopes(
     ray: int,
     field: RayField,
     emission_volume: wp.uint64,
     scale: wp.float64,
     unit: wp.float64,
-    seen: wp.float64,
-    glow: wp.float64,
-    total: wp.float64,
+    slopes: wp.vec3d,
     start: wp.vec3d,
     toward: wp.vec3d,
     t_first: wp.float64,
@@ -62,15 +43,13 @@ def measure_slopes(
 ): ...
 
 
-@wp.func_native(_slopes(0, "add"))
+@cpp.func_native("volume/rays/integrate_slopes.inl", WHOLE=WHOLE, **NUMBERS)
 def add_slopes(
     field: RayField,
     emission_volume: wp.uint64,
     scale: wp.float64,
     unit: wp.float64,
-    seen: wp.float64,
-    glow: wp.float64,
-    total: wp.float64,
+    slopes: wp.vec3d,
     start: wp.vec3d,
     toward: wp.vec3d,
     t_first: wp.float64,
@@ -114,9 +93,7 @@ def ray_slopes_kernel(
         emission_volume,
         extinction * unit,
         unit,
-        slopes[i][0],
-        slopes[i][1],
-        slopes[i][2],
+        slopes[i],
         start,
         toward,
         t_first,
@@ -161,9 +138,7 @@ def add_slopes_kernel(
         emission_volume,
         extinction * unit,
         unit,
-        slopes[i][0],
-        slopes[i][1],
-        slopes[i][2],
+        slopes[i],
         start,
         toward,
         t_first,

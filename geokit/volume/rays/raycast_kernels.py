@@ -1,6 +1,6 @@
 """Finds the first crossing of the trilinear interpolant with an isovalue along each ray.
 
-In a cell the interpolant is a cubic along the ray; see raycast_cell.inl.
+In a cell the interpolant is a cubic along the ray; see crossing.inl.
 """
 
 from typing import Any
@@ -9,7 +9,7 @@ from typing import Any
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 from geokit.volume.rays.crossing_blocks_kernels import BLOCK_WORDS
 
 # Unfused operations give equal bits on every device. Loops that are not unrolled compile in a tenth of the time.
@@ -46,23 +46,11 @@ class RayField:
     blocks: wp.array(dtype=wp.uint64)
 
 
-def _first_crossing(is_float: int) -> str:
-    return cpp(
-        "volume/rays/raycast.inl",
-        defines={
-            "FLOAT_GRID": str(is_float),
-            "SIDE_BY_SIDE": "0",
-            "ON_CELL": '"volume/rays/raycast_cell.inl"',
-            "BLOCK_CELLS": '"volume/rays/block_cells.inl"',
-        },
-        ROUNDS=MOST_ITERATIONS,
-        RESOLUTION=RESOLUTION,
-        BLOCK_WORDS=BLOCK_WORDS,
-    )
+NUMBERS = {"ROUNDS": MOST_ITERATIONS, "RESOLUTION": RESOLUTION, "BLOCK_WORDS": BLOCK_WORDS}
 
 
-# Overloads: float grids or all other types, by the type of the last two arguments.
-@wp.func_native(_first_crossing(1))
+# Warp takes no Any where something is returned.
+@cpp.func_native("volume/rays/raycast.inl", **NUMBERS)
 def first_crossing(
     field: RayField,
     start: wp.vec3d,
@@ -75,12 +63,13 @@ def first_crossing(
 ) -> wp.vec4d:
     """Ray parameter of the first crossing, infinite for none, and the interpolant's gradient there in index space.
 
-    ``below`` and ``above`` are the isovalue, or its neighbors in the voxel type if that type cannot represent it.
+    ``below`` and ``above`` are the isovalue, or its neighbors in the voxel type if that type cannot represent it:
+    float32 for grids of floats, float64 for all other types.
     """
     ...
 
 
-@wp.func_native(_first_crossing(0))
+@cpp.func_native("volume/rays/raycast.inl", **NUMBERS)
 def first_crossing(  # noqa: F811
     field: RayField,
     start: wp.vec3d,
