@@ -60,7 +60,7 @@ def cpp(*files: str, defines: dict[str, str] | None = None, **constants: int | f
     """Concatenate C++ files into one text for ``wp.func_native``.
 
     Args:
-        files: Paths relative to the package's folder, such as "mesh/bvh/nearest_bvh8_cpu.inl".
+        files: Paths relative to the package's folder, such as "volume/rays/raycast_cpu.inl".
         defines: Macros for these files (hooks, type names); they are undefined after the last file.
         constants: Declared as ``constexpr`` before the first file. A bool or an int becomes an ``int``, a float a
             ``double``, and a NumPy scalar the C++ type of its width.

@@ -1,8 +1,48 @@
-// Visits the triangles of a surface whose boxes overlap a box.
-//
-// Expects core/simd.inl and load_node_bvh2.inl; tree; low and high (three floats each, local); visit(first), which is
-// called with the first slot of each leaf of eight slots on a CPU, and with each slot of a leaf on CUDA; STACK.
-{
+// Boxes in a tree's local frame, and the traversal that visits the triangles of a surface whose boxes overlap one.
+#include "core/simd.inl"
+#include "mesh/bvh/bvh2_packed.inl"
+
+static constexpr auto rounded_down = [](double x) { return (float)x - wp::abs((float)x) * 1.2e-7f - 1e-30f; };
+// A world box in a tree's local frame, rounded outward to float32. Rounding is monotone: boxes that touch in the world
+// touch here. The boxes of a warp Mesh are padded, because its vertices were rounded to nearest.
+static constexpr auto local_box = [](const SurfaceTree& tree, const double* lower, const double* upper, float* low,
+                                     float* high) {
+    for (int k = 0; k < 3; ++k) {
+        const double padding = tree.mesh ? BOX_PADDING : 0.0;
+        const double from = (lower[k] - tree.origin[k]) / tree.scale - padding;
+        const double to = (upper[k] - tree.origin[k]) / tree.scale + padding;
+        low[k] = rounded_down(wp::clamp(from, -FARTHEST, FARTHEST));
+        high[k] = -rounded_down(-wp::clamp(to, -FARTHEST, FARTHEST));
+    }
+};
+
+// Writes the local box of a slot's triangle to its column in a block of eight slots; an empty slot's box is inverted.
+static constexpr auto slot_box = [](const SurfaceTree& tree, int slot, wp::array_t<float>& out_boxes) {
+    float* row = out_boxes.data + 48 * (slot / 8) + slot % 8;
+    if (tree.slot_triangle.data[slot] < 0) {
+        for (int k = 0; k < 3; ++k) {
+            row[8 * k] = INFINITY;
+            row[24 + 8 * k] = -INFINITY;
+        }
+        return;
+    }
+    double lower[3], upper[3];
+    const wp::vec3d* p = tree.corners.data + 3 * slot;
+    for (int k = 0; k < 3; ++k) {
+        lower[k] = wp::min(wp::min(p[0][k], p[1][k]), p[2][k]);
+        upper[k] = wp::max(wp::max(p[0][k], p[1][k]), p[2][k]);
+    }
+    float low[3], high[3];
+    local_box(tree, lower, upper, low, high);
+    for (int k = 0; k < 3; ++k) {
+        row[8 * k] = low[k];
+        row[24 + 8 * k] = high[k];
+    }
+};
+
+// Calls visit(first) with the first slot of each leaf of eight slots on a CPU, and with each slot of a leaf on CUDA,
+// whose box overlaps the local one from low to high, three floats each.
+static constexpr auto walk_boxes = [](const SurfaceTree& tree, const float* low, const float* high, auto&& visit) {
     int stack[STACK], height = 1;
 #if defined(__CUDA_ARCH__)
     auto reaches = [&](float lx, float ly, float lz, float ux, float uy, float uz) {
@@ -12,7 +52,7 @@
     while (height > 0) {
         const int node = stack[--height];
         if (node < 0) {
-            for (int first = first_slot(node); first < end_slot(node); ++first) visit(first);
+            for (int first = first_slot(node); first < end_slot(tree.leaves, node); ++first) visit(first);
             continue;
         }
         const Node n = load_node(tree.boxes.data, node);
@@ -34,4 +74,4 @@
         for (unsigned mask = mask_of(meets); mask; mask &= mask - 1) stack[height++] = child[__builtin_ctz(mask)];
     }
 #endif
-}
+};

@@ -4,10 +4,10 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
-from geokit.mesh.bvh.bvh2_ray_candidates_cuda_kernels import IS_SLIVER
-from geokit.mesh.bvh.ray_walk_kernels import RAY_CONSTANTS, SHORTEST_DIRECTION, is_usable, length_in_t
-from geokit.mesh.bvh.tree_kernels import LEFT_OVER, NO_CANDIDATE, UNDECIDED, SurfaceTree
+from geokit.core import cpp
+from geokit.mesh.bvh.bvh2_ray_candidates_cuda_kernels import CANDIDATE_CONSTANTS
+from geokit.mesh.bvh.ray_walk_kernels import SHORTEST_DIRECTION, is_usable, length_in_t
+from geokit.mesh.bvh.tree_kernels import SurfaceTree
 
 wp.set_module_options({"enable_backward": False})
 
@@ -15,28 +15,9 @@ wp.set_module_options({"enable_backward": False})
 CANDIDATES = 16
 # Register limit of a GPU thread; see docs/design/launches-and-memory.md.
 REGISTERS = 64
-# First entry of a ray's candidate list: it hits something.
-SURE = wp.constant(-3)
 
 
-@wp.func_native(
-    cpp(
-        "mesh/bvh/load_node_bvh2.inl",
-        "mesh/bvh/ray_candidates_bvh2_cuda.inl",
-        "mesh/bvh/exact_arithmetic.inl",
-        "mesh/bvh/ray_triangle.inl",
-        "mesh/bvh/refine_sliver.inl",
-        "mesh/bvh/decide_any_hit_cuda.inl",
-        defines={"ANY_HIT": "1"},
-        **RAY_CONSTANTS,
-        CANDIDATES=CANDIDATES,
-        IS_SLIVER=IS_SLIVER,
-        NO_CANDIDATE=NO_CANDIDATE,
-        UNDECIDED=UNDECIDED,
-        SURE=SURE,
-        LEFT_OVER=LEFT_OVER,
-    )
-)
+@cpp.func_native("mesh/bvh/ray_candidates_cuda.inl", **CANDIDATE_CONSTANTS, CANDIDATES=CANDIDATES, ANY_HIT=True)
 def any_hit(
     tree: SurfaceTree,
     wide: wp.array(dtype=int),

@@ -9,7 +9,7 @@ packed tree a step reads one place, and small subtrees are leaves whose size sui
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 from geokit.mesh.bvh.leaf_planes_kernels import SLOT_WORDS
 
 wp.set_module_options({"enable_backward": False})
@@ -36,16 +36,13 @@ NODE_CONSTANTS = {"NODE_FLOATS": NODE_FLOATS, "LEAF_BITS": LEAF_BITS, "MANY": MA
 def node_count(id: wp.uint64) -> int: ...
 
 
-_NODE_RANGE = "mesh/bvh/node_range_bvh2_cuda.inl"
-
-
-@wp.func_native(cpp(_NODE_RANGE) + "return !is_leaf(node) && end_of(node) - begin_of(node) > most;")
+@cpp.func_native("mesh/bvh/bvh2_packed.inl", **NODE_CONSTANTS)
 def is_kept(id: wp.uint64, node: int, most: int) -> bool:
     """Whether a node keeps its own row because it has too many triangles for a leaf."""
     ...
 
 
-@wp.func_native(cpp(_NODE_RANGE, "mesh/bvh/pack_node_bvh2_cuda.inl", **NODE_CONSTANTS))
+@cpp.func_native("mesh/bvh/bvh2_packed.inl", **NODE_CONSTANTS)
 def pack_node(
     id: wp.uint64,
     node: int,

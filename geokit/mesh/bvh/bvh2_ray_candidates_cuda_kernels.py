@@ -9,9 +9,9 @@ together with the other candidates.
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 from geokit.mesh.bvh.ray_walk_kernels import RAY_CONSTANTS, SHORTEST_DIRECTION, is_usable, length_in_t
-from geokit.mesh.bvh.tree_kernels import NO_CANDIDATE, UNDECIDED, SurfaceTree
+from geokit.mesh.bvh.tree_kernels import LEFT_OVER, NO_CANDIDATE, UNDECIDED, SurfaceTree
 
 wp.set_module_options({"enable_backward": False})
 
@@ -22,23 +22,21 @@ CANDIDATES = 32
 REGISTERS = 48
 # Flag bit in a candidate's slot; slot numbers are below it.
 IS_SLIVER = 1 << 30
+# First entry of a ray's candidate list: it hits something.
+SURE = wp.constant(-3)
+
+CANDIDATE_CONSTANTS = {
+    **RAY_CONSTANTS,
+    "CROSSINGS": False,
+    "IS_SLIVER": IS_SLIVER,
+    "NO_CANDIDATE": NO_CANDIDATE,
+    "UNDECIDED": UNDECIDED,
+    "SURE": SURE,
+    "LEFT_OVER": LEFT_OVER,
+}
 
 
-@wp.func_native(
-    cpp(
-        "mesh/bvh/load_node_bvh2.inl",
-        "mesh/bvh/ray_candidates_bvh2_cuda.inl",
-        "mesh/bvh/exact_arithmetic.inl",
-        "mesh/bvh/ray_triangle.inl",
-        "mesh/bvh/refine_sliver.inl",
-        "mesh/bvh/decide_candidates_cuda.inl",
-        **RAY_CONSTANTS,
-        CANDIDATES=CANDIDATES,
-        IS_SLIVER=IS_SLIVER,
-        NO_CANDIDATE=NO_CANDIDATE,
-        UNDECIDED=UNDECIDED,
-    )
-)
+@cpp.func_native("mesh/bvh/ray_candidates_cuda.inl", **CANDIDATE_CONSTANTS, CANDIDATES=CANDIDATES, ANY_HIT=False)
 def first_hit(
     tree: SurfaceTree,
     start: wp.vec3d,

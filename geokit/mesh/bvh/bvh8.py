@@ -142,8 +142,8 @@ def place_triangles(
     """
     import warp as wp
 
+    from geokit.mesh.bvh.bvh8_leaves_cpu_kernels import place_blocks_kernel
     from geokit.mesh.bvh.leaf_planes_kernels import PLANE_ROWS
-    from geokit.mesh.bvh.place_blocks_cpu_kernels import place_blocks_kernel
     from geokit.mesh.bvh.tree_memory import tree_array
 
     device, count = slot_triangle.device, len(slot_triangle)
@@ -157,7 +157,7 @@ def ray_leaves(tree: Any) -> "wp.array":
     """The packed ray leaves of a tree on the CPU."""
     import warp as wp
 
-    from geokit.mesh.bvh.bvh8_ray_leaves_cpu_kernels import LEAF_WORDS, ray_leaves_kernel
+    from geokit.mesh.bvh.bvh8_leaves_cpu_kernels import LEAF_WORDS, ray_leaves_kernel
     from geokit.mesh.bvh.tree_memory import tree_array
 
     device = tree.slot_triangle.device

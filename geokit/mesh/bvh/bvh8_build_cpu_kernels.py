@@ -9,7 +9,7 @@ threads build subtrees. The node numbers do not depend on the number of threads.
 import numpy as np
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 from geokit.core.scan_kernels import part_of
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -35,8 +35,23 @@ STACK = 256
 # 32-bit words of a range that waits to be opened, with its depth.
 WAITING_WORDS = 27
 
-# Numbers of a reference, see build_bvh8_cpu.inl.
+# Sentinel for an absent child, whose box is empty: 0, because the root is never a child.
+NO_CHILD = 0
+# Numbers of a reference, see bvh8_build_cpu.inl.
 REFERENCE = 8
+
+_CONSTANTS = {
+    "BINS": BINS,
+    "TAKE_FROM": TAKE_FROM,
+    "GAIN": GAIN,
+    "AHEAD": AHEAD,
+    "SETS_FROM": SETS_FROM,
+    "WIDTH": WIDTH,
+    "HALVING_DEPTH": HALVING_DEPTH,
+    "NO_CHILD": NO_CHILD,
+    "STACK": STACK,
+    "WAITING_WORDS": WAITING_WORDS,
+}
 
 
 @wp.func
@@ -46,7 +61,7 @@ def rounded_down(x: wp.float64) -> wp.float32:
     return f - wp.float32(1.2e-7) * wp.abs(f) - wp.float32(1.0e-30)
 
 
-@wp.func_native(cpp("core/simd.inl", "mesh/bvh/reference_bvh8_cpu.inl"))
+@cpp.func_native("mesh/bvh/bvh8_build_cpu.inl", **_CONSTANTS)
 def write_reference(
     i: int,
     vertices: wp.array(dtype=wp.vec3d),
@@ -73,25 +88,7 @@ def references_kernel(
     write_reference(i, vertices, faces, origins[tree], scales[tree], out_references)
 
 
-# Sentinel for an absent child, whose box is empty: 0, because the root is never a child.
-NO_CHILD = 0
-
-_FILES = ["core/simd.inl", "mesh/bvh/build_bvh8_cpu.inl"]
-_CONSTANTS = {
-    "BINS": BINS,
-    "TAKE_FROM": TAKE_FROM,
-    "GAIN": GAIN,
-    "AHEAD": AHEAD,
-    "SETS_FROM": SETS_FROM,
-    "WIDTH": WIDTH,
-    "HALVING_DEPTH": HALVING_DEPTH,
-    "NO_CHILD": NO_CHILD,
-    "STACK": STACK,
-    "WAITING_WORDS": WAITING_WORDS,
-}
-
-
-@wp.func_native(cpp(*_FILES, "mesh/bvh/build_top_bvh8_cpu.inl", **_CONSTANTS))
+@cpp.func_native("mesh/bvh/bvh8_build_cpu.inl", **_CONSTANTS)
 def build_top(
     references: wp.array(dtype=wp.float32),
     sides: wp.array(dtype=wp.uint8),
@@ -109,7 +106,7 @@ def build_top(
 ): ...
 
 
-@wp.func_native(cpp(*_FILES, "mesh/bvh/build_subtree_bvh8_cpu.inl", **_CONSTANTS))
+@cpp.func_native("mesh/bvh/bvh8_build_cpu.inl", **_CONSTANTS)
 def build_subtree(
     references: wp.array(dtype=wp.float32),
     sides: wp.array(dtype=wp.uint8),
@@ -294,7 +291,7 @@ def block_boxes_kernel(
         out_boxes[6 * block + 3 + k] = -rounded_down(-upper[k])
 
 
-@wp.func_native(cpp("mesh/bvh/refit_bvh8.inl", WIDTH=WIDTH, NO_CHILD=NO_CHILD))
+@cpp.func_native("mesh/bvh/bvh8_build_cpu.inl", **_CONSTANTS)
 def refit_nodes(
     count: int,
     children: wp.array(dtype=int),

@@ -12,7 +12,7 @@ order l takes 2l + 1 numbers: 15 in all, where symmetric tensors have 19 and ful
 import numpy as np
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 from geokit.mesh.bvh.tree_kernels import SurfaceTree
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -28,15 +28,12 @@ RADIUS_SLACK = 1.0e-7
 NOWHERE = np.float32(1.0e5)
 
 
-@wp.func_native(
-    cpp(
-        "core/simd.inl",
-        "mesh/bvh/node_moments_bvh8_cpu.inl",
-        RAW_SIZE=RAW_SIZE,
-        MOMENT_ROWS=MOMENT_ROWS,
-        RADIUS_SLACK=RADIUS_SLACK,
-        NOWHERE=NOWHERE,
-    )
+@cpp.func_native(
+    "mesh/bvh/bvh8_moments_cpu.inl",
+    RAW_SIZE=RAW_SIZE,
+    MOMENT_ROWS=MOMENT_ROWS,
+    RADIUS_SLACK=RADIUS_SLACK,
+    NOWHERE=NOWHERE,
 )
 def node_moments(
     tree: SurfaceTree,

@@ -1,16 +1,14 @@
 // Closest point of a triangle to a query, in float64.
-//
-// Expects SLIVER_SINE_SQUARED. Defines point (a vec3d) and closest_on_triangle(p - a, b - a, c - a, v, w): returns the
-// squared distance and sets the weights v of b and w of c. A lambda, so that the tree search and the evaluation of its
-// winner share one piece of code and agree to the last bit. Also defines squared_at and closest_on_sliver.
+#pragma once
+
 typedef wp::vec_t<3, wp::float64> point;
-auto squared_at = [](const point& ap, const point& ab, const point& ac, double v, double w) {
+static constexpr auto squared_at = [](const point& ap, const point& ab, const point& ac, double v, double w) {
     const double x = ap[0] - v * ab[0] - w * ac[0];
     const double y = ap[1] - v * ab[1] - w * ac[1];
     const double z = ap[2] - v * ab[2] - w * ac[2];
     return x * x + y * y + z * z;
 };
-auto closest_on_sliver = [&](const point& ap, const point& ab, const point& ac, double& v, double& w) {
+static constexpr auto closest_on_sliver = [](const point& ap, const point& ab, const point& ac, double& v, double& w) {
     auto share = [](double part, double whole) {
         return part <= 0.0 || whole <= 0.0 ? 0.0 : part >= whole ? 1.0 : part / whole;
     };
@@ -55,7 +53,12 @@ auto closest_on_sliver = [&](const point& ap, const point& ab, const point& ac, 
     }
     return least;
 };
-auto closest_on_triangle = [&](const point& ap, const point& ab, const point& ac, double& v, double& w) {
+// The squared distance of p from the triangle abc, given p - a, b - a and c - a, and the weights v of b and w of c
+// there.
+//
+// The tree search and the evaluation of its winner share it, and so agree to the last bit.
+static constexpr auto closest_on_triangle = [](const point& ap, const point& ab, const point& ac, double& v,
+                                               double& w) {
     const double bb = wp::dot(ab, ab), cc = wp::dot(ac, ac), bc = wp::dot(ab, ac);
     const double longer = bb > cc ? bb : cc;
     if (bb * cc - bc * bc <= SLIVER_SINE_SQUARED * longer * longer) return closest_on_sliver(ap, ab, ac, v, w);
@@ -86,4 +89,14 @@ auto closest_on_triangle = [&](const point& ap, const point& ab, const point& ac
         w = vc / whole;
     }
     return squared_at(ap, ab, ac, v, w);
+};
+
+// Barycentric coordinates of the point of the triangle abc that is closest to p.
+static constexpr auto barycentric_of_closest = [](const point& p, const point& a, const point& b,
+                                                  const point& c) -> point {
+    double v, w;
+    closest_on_triangle(p - a, b - a, c - a, v, w);
+    // Exactly zero on the edge opposite the first corner: a caller that looks up a normal must recognize the edge.
+    const double rest = 1.0 - w;
+    return point(v == rest ? 0.0 : rest - v, v, w);
 };

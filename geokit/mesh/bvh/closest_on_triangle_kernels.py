@@ -4,7 +4,7 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 
 wp.set_module_options({"enable_backward": False})
 
@@ -12,10 +12,10 @@ wp.set_module_options({"enable_backward": False})
 # square of this sine: at 1e-4 the error is 1e-12 of an edge.
 SLIVER_SINE_SQUARED = 1.0e-4
 
-_FILES = ["mesh/bvh/closest_on_triangle.inl", "mesh/bvh/barycentric_of_closest.inl"]
 
-
-@wp.func_native(cpp(*_FILES, SLIVER_SINE_SQUARED=SLIVER_SINE_SQUARED))
+@cpp.func_native(
+    "mesh/bvh/closest_on_triangle.inl", function="barycentric_of_closest", SLIVER_SINE_SQUARED=SLIVER_SINE_SQUARED
+)
 def closest_on_triangle(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.vec3d:
     """Barycentric coordinates of the point of the triangle abc that is closest to p.
 

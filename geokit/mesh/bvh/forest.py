@@ -107,7 +107,7 @@ class Forest:
     def _made_ray_table(self) -> NDArray[Any]:
         import warp as wp
 
-        from geokit.mesh.bvh.bvh8_ray_leaves_cpu_kernels import LEAF_WORDS
+        from geokit.mesh.bvh.bvh8_leaves_cpu_kernels import LEAF_WORDS
         from geokit.mesh.bvh.forest_cpu_kernels import forest_ray_leaves_kernel
         from geokit.mesh.bvh.tree_kernels import SurfaceTree
         from geokit.mesh.bvh.tree_memory import tree_array

@@ -6,8 +6,8 @@ import warp as wp
 
 from geokit.core.scan_kernels import part_of
 from geokit.mesh.bvh.box_walk_kernels import slot_box
+from geokit.mesh.bvh.bvh8_leaves_cpu_kernels import pack_leaf
 from geokit.mesh.bvh.bvh8_moments_kernels import node_moments
-from geokit.mesh.bvh.bvh8_ray_leaves_cpu_kernels import pack_leaf
 from geokit.mesh.bvh.tree_kernels import SurfaceTree
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})

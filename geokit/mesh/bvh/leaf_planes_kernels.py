@@ -68,7 +68,7 @@ def leaf_planes_kernel(
     scale: wp.float64,
     out_leaves: wp.array(dtype=wp.float32),
 ):
-    """One row for each slot, for CUDA; place_block_bvh8_cpu.inl is the same for blocks of eight."""
+    """One row for each slot, for CUDA; bvh8_leaves_cpu.inl is the same for blocks of eight."""
     slot = first + wp.tid()
     zero = wp.float64(0.0)
     a = wp.vec3d(wp.float64(NOWHERE), zero, zero)

@@ -5,7 +5,7 @@
 import numpy as np
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 from geokit.mesh.bvh.bvh2_packed_cuda_kernels import NODE_CONSTANTS
 from geokit.mesh.bvh.bvh8_build_cpu_kernels import STACK
 from geokit.mesh.bvh.closest_on_triangle_kernels import SLIVER_SINE_SQUARED
@@ -27,13 +27,6 @@ CPU_CANDIDATES = 64
 # The same in the local memory of a GPU thread.
 CUDA_CANDIDATES = 8
 
-_FILES = [
-    "core/simd.inl",
-    "mesh/bvh/closest_on_triangle.inl",
-    "mesh/bvh/load_node_bvh2.inl",
-    "mesh/bvh/nearest_bvh2_cuda.inl",
-    "mesh/bvh/nearest_bvh8_cpu.inl",
-]
 _CONSTANTS = {
     **NODE_CONSTANTS,
     "SLIVER_SINE_SQUARED": SLIVER_SINE_SQUARED,
@@ -48,7 +41,7 @@ _CONSTANTS = {
 }
 
 
-@wp.func_native(cpp(*_FILES, **_CONSTANTS))
+@cpp.func_native("mesh/bvh/nearest.inl", **_CONSTANTS, ANY_WITHIN=False)
 def nearest_slot(tree: SurfaceTree, p: wp.vec3d, max_squared: wp.float64, seed: int) -> int:
     """Slot of the triangle nearest to p [world]; -1 if none is within the squared distance.
 
@@ -57,7 +50,7 @@ def nearest_slot(tree: SurfaceTree, p: wp.vec3d, max_squared: wp.float64, seed: 
     ...
 
 
-@wp.func_native(cpp(*_FILES, defines={"ANY_WITHIN": "1"}, **_CONSTANTS))
+@cpp.func_native("mesh/bvh/nearest.inl", function="nearest_slot", **_CONSTANTS, ANY_WITHIN=True)
 def slot_within(tree: SurfaceTree, p: wp.vec3d, max_squared: wp.float64, seed: int) -> int:
     """Slot of any triangle within the squared distance of p [world]; -1 if there is none.
 

@@ -5,10 +5,9 @@
 import numpy as np
 import warp as wp
 
-from geokit.core.cpp import cpp
 from geokit.mesh.bvh.bvh2_packed_cuda_kernels import NODE_CONSTANTS
 from geokit.mesh.bvh.bvh8_build_cpu_kernels import STACK
-from geokit.mesh.bvh.bvh8_ray_leaves_cpu_kernels import HEAD, LEAF_WORDS, SLIVER
+from geokit.mesh.bvh.bvh8_leaves_cpu_kernels import HEAD, LEAF_WORDS, SLIVER
 
 wp.set_module_options({"enable_backward": False})
 
@@ -40,40 +39,18 @@ RAY_CONSTANTS = {
     "ENDLESS": np.float32(ENDLESS),
     "LEAST_COMPONENT": np.float32(LEAST_COMPONENT),
     "SLIVER": SLIVER,
+    "LEAF_WORDS": LEAF_WORDS,
+    "HEAD": HEAD,
 }
-
-
-def ray_walk(results: str, *defines: str) -> str:
-    """The C++ text of a traversal along rays.
-
-    Args:
-        results: The file that defines ``take_hit`` (handles a hit) and ``finish`` (ends a ray), see
-            raycast_bvh8_cpu.inl.
-        defines: Macros of the triangle test (CROSSINGS, REFINE_ON_CPU, REFINE_ON_CUDA) and of the traversal
-            (UNORDERED).
-    """
-    return cpp(
-        "core/simd.inl",
-        "mesh/bvh/exact_arithmetic.inl",
-        "mesh/bvh/ray_triangle.inl",
-        "mesh/bvh/refine_sliver.inl",
-        "mesh/bvh/refine_hit.inl",
-        "mesh/bvh/hit_from_t_min.inl",
-        results,
-        "mesh/bvh/load_node_bvh2.inl",
-        "mesh/bvh/raycast_bvh2_cuda.inl",
-        "mesh/bvh/ray_setup_bvh8_cpu.inl",
-        "mesh/bvh/raycast_bvh8_cpu.inl",
-        defines=dict.fromkeys(defines, "1"),
-        **RAY_CONSTANTS,
-        SHORTEST_DIRECTION=SHORTEST_DIRECTION,
-        BOX_MARGIN=np.float32(BOX_MARGIN),
-        IN_FLIGHT=IN_FLIGHT,
-        AHEAD=AHEAD,
-        STACK=STACK,
-        LEAF_WORDS=LEAF_WORDS,
-        HEAD=HEAD,
-    )
+# Those of walk_rays, beside CROSSINGS and UNORDERED.
+WALK_CONSTANTS = {
+    **RAY_CONSTANTS,
+    "SHORTEST_DIRECTION": SHORTEST_DIRECTION,
+    "BOX_MARGIN": np.float32(BOX_MARGIN),
+    "IN_FLIGHT": IN_FLIGHT,
+    "AHEAD": AHEAD,
+    "STACK": STACK,
+}
 
 
 @wp.func_native(

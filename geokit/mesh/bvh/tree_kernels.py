@@ -43,7 +43,7 @@ class SurfaceTree:
     ray_children: wp.array(dtype=int)
     # For each block PLANE_ROWS rows of eight: the triangles in their own frames; see leaf_planes_kernels.
     leaves: wp.array(dtype=wp.float32)
-    # The leaves for rays, on the CPU only: LEAF_WORDS words per block; see pack_ray_leaf_bvh8_cpu.inl.
+    # The leaves for rays, on the CPU only: LEAF_WORDS words per block; see bvh8_leaves_cpu.inl.
     ray_leaves: wp.array(dtype=wp.float32)
 
 

@@ -9,7 +9,7 @@ multipole moments, nearby triangles by their solid angles. On CUDA warp's own tr
 import numpy as np
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 from geokit.core.interop.user_arrays_kernels import is_measurable
 from geokit.core.morton_order_kernels import prefetch_query
 from geokit.mesh.bvh.bvh8_build_cpu_kernels import STACK
@@ -63,7 +63,6 @@ class WindingTree:
     areas: wp.array(dtype=wp.float32)
 
 
-_FILES = ["core/simd.inl", "mesh/bvh/winding_bvh2_cuda.inl", "mesh/bvh/winding_bvh8_cpu.inl"]
 _CONSTANTS = {
     "FAR": FAR,
     "ACCURACY": ACCURACY,
@@ -76,10 +75,13 @@ _CONSTANTS = {
     "QUEUE": QUEUE,
     "LEAVES": LEAVES,
     "STACK": STACK,
+    "OPENING_SIGN": OPENING_SIGN,
+    "SIGN_MARGIN": SIGN_MARGIN,
+    "SIGN_SPREAD": SIGN_SPREAD,
 }
 
 
-@wp.func_native(cpp(*_FILES, "mesh/bvh/winding_number_bvh8_cpu.inl", defines={"RESULT(sum)": "(sum)"}, **_CONSTANTS))
+@cpp.func_native("mesh/bvh/winding.inl", **_CONSTANTS)
 def winding_number_at(tree: SurfaceTree, winding: WindingTree, empty: wp.float64, p: wp.vec3d) -> wp.float64:
     """Winding number around the world point p.
 
@@ -88,17 +90,7 @@ def winding_number_at(tree: SurfaceTree, winding: WindingTree, empty: wp.float64
     ...
 
 
-@wp.func_native(
-    cpp(
-        *_FILES,
-        "mesh/bvh/is_inside_bvh8_cpu.inl",
-        defines={"RESULT(sum)": "((sum) > 0.5f)"},
-        **_CONSTANTS,
-        OPENING_SIGN=OPENING_SIGN,
-        SIGN_MARGIN=SIGN_MARGIN,
-        SIGN_SPREAD=SIGN_SPREAD,
-    )
-)
+@cpp.func_native("mesh/bvh/winding.inl", **_CONSTANTS)
 def is_inside(tree: SurfaceTree, winding: WindingTree, empty: wp.float64, p: wp.vec3d) -> wp.bool:
     """Whether the winding number exceeds 1/2 and p is not on the surface; several times faster than the number."""
     ...

@@ -4,7 +4,8 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.mesh.bvh.ray_walk_kernels import ray_walk
+from geokit.core import cpp
+from geokit.mesh.bvh.ray_walk_kernels import WALK_CONSTANTS
 from geokit.mesh.bvh.tree_kernels import SurfaceTree
 
 wp.set_module_options({"enable_backward": False})
@@ -13,7 +14,7 @@ wp.set_module_options({"enable_backward": False})
 REGISTERS = 64
 
 
-@wp.func_native(ray_walk("mesh/queries/count_crossings.inl", "CROSSINGS", "UNORDERED"))
+@cpp.func_native("mesh/queries/crossings.inl", **WALK_CONSTANTS, CROSSINGS=True, UNORDERED=True)
 def count_crossings(
     begin: int,
     end: int,
@@ -27,7 +28,7 @@ def count_crossings(
 ): ...
 
 
-@wp.func_native(ray_walk("mesh/queries/list_crossings.inl", "CROSSINGS", "UNORDERED"))
+@cpp.func_native("mesh/queries/crossings.inl", **WALK_CONSTANTS, CROSSINGS=True, UNORDERED=True)
 def list_crossings(
     begin: int,
     end: int,

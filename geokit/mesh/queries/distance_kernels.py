@@ -4,14 +4,14 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.core import cpp
 from geokit.core.atomic_kernels import lower_to
-from geokit.core.cpp import cpp
 from geokit.mesh.bvh.bvh2_packed_cuda_kernels import NODE_CONSTANTS
 from geokit.mesh.bvh.bvh8_build_cpu_kernels import STACK
 from geokit.mesh.bvh.closest_on_triangle_kernels import SLIVER_SINE_SQUARED, closest_on_triangle, offset_from_triangle
 from geokit.mesh.bvh.nearest_kernels import nearest_slot
 from geokit.mesh.bvh.tree_kernels import BOX_PADDING, SurfaceTree
-from geokit.mesh.queries.intersecting_kernels import AREA_ERROR, PAIR_GAP_ERROR, PARTS, VOLUME_ERROR
+from geokit.mesh.queries.intersecting_kernels import PAIR_CONSTANTS
 
 # Without fused multiply-adds a GPU gives the same bits as a CPU, and so the same pair.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
@@ -19,33 +19,16 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll":
 # A bound from a vertex is widened by more than the rounding by which the pair's own distance may exceed it.
 WIDENED = wp.constant(wp.float64(1.0 + 1e-9))
 
-_GAP = [
-    "mesh/bvh/exact_arithmetic.inl",
-    "mesh/bvh/predicates.inl",
-    "mesh/queries/triangle_pair.inl",
-    "mesh/bvh/closest_on_triangle.inl",
-    "mesh/queries/triangle_gap.inl",
-]
-_GAP_CONSTANTS = {
-    "SLIVER_SINE_SQUARED": SLIVER_SINE_SQUARED,
-    "PAIR_GAP_ERROR": PAIR_GAP_ERROR,
-    "VOLUME_ERROR": VOLUME_ERROR,
-    "AREA_ERROR": AREA_ERROR,
-    "PARTS": PARTS,
-}
-_SEARCH = cpp(
-    "core/simd.inl",
-    "mesh/bvh/load_node_bvh2.inl",
-    *_GAP,
-    "mesh/queries/nearest_pair.inl",
-    **_GAP_CONSTANTS,
+_CONSTANTS = {
     **NODE_CONSTANTS,
-    BOX_PADDING=BOX_PADDING,
-    STACK=STACK,
-)
+    **PAIR_CONSTANTS,
+    "SLIVER_SINE_SQUARED": SLIVER_SINE_SQUARED,
+    "BOX_PADDING": BOX_PADDING,
+    "STACK": STACK,
+}
 
 
-@wp.func_native(_SEARCH)
+@cpp.func_native("mesh/queries/distance.inl", **_CONSTANTS)
 def nearest_pair(
     item: int,
     corners: wp.array(dtype=wp.vec3d),
@@ -61,7 +44,7 @@ def nearest_pair(
     ...
 
 
-@wp.func_native(cpp(*_GAP, "mesh/queries/points_of_pair.inl", **_GAP_CONSTANTS))
+@cpp.func_native("mesh/queries/distance.inl", **_CONSTANTS)
 def points_of_pair(
     corners: wp.array(dtype=wp.vec3d),
     slot: int,

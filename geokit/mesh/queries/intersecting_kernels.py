@@ -4,7 +4,8 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.mesh.bvh.box_walk_kernels import box_walk
+from geokit.core import cpp
+from geokit.mesh.bvh.box_walk_kernels import BOX_CONSTANTS
 from geokit.mesh.bvh.tree_kernels import SurfaceTree
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -20,28 +21,15 @@ AREA_ERROR = 3.4e-16
 PARTS = 192
 
 
-def _pairs(on_pair: str, *files: str) -> str:
-    return box_walk(
-        "mesh/bvh/exact_arithmetic.inl",
-        "mesh/bvh/predicates.inl",
-        "mesh/queries/triangle_pair.inl",
-        *files,
-        "mesh/queries/visit_pairs.inl",
-        defines={"ON_PAIR(slot, other)": on_pair},
-        PAIR_GAP_ERROR=PAIR_GAP_ERROR,
-        VOLUME_ERROR=VOLUME_ERROR,
-        AREA_ERROR=AREA_ERROR,
-        PARTS=PARTS,
-    )
+PAIR_CONSTANTS = {
+    "PAIR_GAP_ERROR": PAIR_GAP_ERROR,
+    "VOLUME_ERROR": VOLUME_ERROR,
+    "AREA_ERROR": AREA_ERROR,
+    "PARTS": PARTS,
+}
 
 
-_COUNT = "wp::int64 count = 0;" + _pairs("++count") + "out_count.data[item] = count;"
-# Another thread may have found a pair already.
-_ANY = "if (out_found.data[0]) return;" + _pairs("out_found.data[0] = 1")
-_FILL = "wp::int64 at = offset;" + _pairs("append_pair(slot, other)", "mesh/queries/append_pair.inl")
-
-
-@wp.func_native(_COUNT)
+@cpp.func_native("mesh/queries/intersecting.inl", **BOX_CONSTANTS, **PAIR_CONSTANTS)
 def count_pairs(
     item: int,
     surface: SurfaceTree,
@@ -53,7 +41,7 @@ def count_pairs(
 ): ...
 
 
-@wp.func_native(_FILL)
+@cpp.func_native("mesh/queries/intersecting.inl", **BOX_CONSTANTS, **PAIR_CONSTANTS)
 def fill_pairs(
     item: int,
     offset: wp.int64,
@@ -66,7 +54,7 @@ def fill_pairs(
 ): ...
 
 
-@wp.func_native(_ANY)
+@cpp.func_native("mesh/queries/intersecting.inl", **BOX_CONSTANTS, **PAIR_CONSTANTS)
 def find_pair(
     item: int,
     surface: SurfaceTree,

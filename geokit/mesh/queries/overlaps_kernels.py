@@ -4,8 +4,9 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.core import cpp
 from geokit.core.atomic_kernels import lower_to
-from geokit.mesh.bvh.box_walk_kernels import box_walk
+from geokit.mesh.bvh.box_walk_kernels import BOX_CONSTANTS
 from geokit.mesh.bvh.tree_kernels import SurfaceTree
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -14,19 +15,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 BOX_GAP_ERROR = 3.0e-15
 
 
-def _overlaps(on_triangle: str) -> str:
-    defines = {"ON_TRIANGLE(slot)": on_triangle}
-    return box_walk("mesh/queries/visit_overlaps.inl", defines=defines, BOX_GAP_ERROR=BOX_GAP_ERROR)
-
-
-_COUNT = "wp::int64 count = 0;" + _overlaps("++count") + "out_count.data[item] = count;"
-# The key orders by box, then by triangle.
-_FILL = "wp::int64 at = offsets.data[item];" + _overlaps(
-    "out_key.data[at++] = (wp::int64)item << 32 | tree.slot_triangle.data[slot]"
-)
-
-
-@wp.func_native(_COUNT)
+@cpp.func_native("mesh/queries/overlaps.inl", **BOX_CONSTANTS, BOX_GAP_ERROR=BOX_GAP_ERROR)
 def count_overlaps(
     item: int,
     lower: wp.array(dtype=wp.vec3d),
@@ -37,7 +26,7 @@ def count_overlaps(
 ): ...
 
 
-@wp.func_native(_FILL)
+@cpp.func_native("mesh/queries/overlaps.inl", **BOX_CONSTANTS, BOX_GAP_ERROR=BOX_GAP_ERROR)
 def list_overlaps(
     item: int,
     lower: wp.array(dtype=wp.vec3d),

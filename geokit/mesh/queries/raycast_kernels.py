@@ -4,7 +4,8 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.mesh.bvh.ray_walk_kernels import ray_walk
+from geokit.core import cpp
+from geokit.mesh.bvh.ray_walk_kernels import WALK_CONSTANTS
 from geokit.mesh.bvh.tree_kernels import LEFT_OVER, UNDECIDED, SurfaceTree
 
 wp.set_module_options({"enable_backward": False})
@@ -12,7 +13,7 @@ wp.set_module_options({"enable_backward": False})
 # Rays are processed in the caller's order: sorting them costs more than it gains, on a CPU and on a GPU.
 
 
-@wp.func_native(ray_walk("mesh/queries/nearest_hit.inl", "REFINE_ON_CPU", "REFINE_ON_CUDA"))
+@cpp.func_native("mesh/queries/raycast.inl", **WALK_CONSTANTS, CROSSINGS=False, UNORDERED=False)
 def cast_rays(
     begin: int,
     end: int,
@@ -28,7 +29,7 @@ def cast_rays(
 ): ...
 
 
-@wp.func_native(ray_walk("mesh/queries/any_hit.inl", "REFINE_ON_CPU", "REFINE_ON_CUDA", "UNORDERED"))
+@cpp.func_native("mesh/queries/raycast.inl", **WALK_CONSTANTS, CROSSINGS=False, UNORDERED=True)
 def test_rays(
     begin: int,
     end: int,

@@ -1,15 +1,18 @@
 // Exact test of two triangles: whether they intersect, and whether they do so beyond what they share.
 //
-// Triangles are closed sets: touching counts as intersecting. Triangles without area are segments or points. Expects
-// exact_arithmetic.inl and predicates.inl; PAIR_GAP_ERROR. Defines triangles_meet(t, u) and meet_beyond_shared(t, u)
-// for arrays of three points. The latter tells whether they have a common point that is not on the vertex or edge that
-// they share by position; triangles with the same three positions do. Also defines the lambdas that these two use.
-auto same = [](const point& a, const point& b) { return a[0] == b[0] && a[1] == b[1] && a[2] == b[2]; };
+// Triangles are closed sets: touching counts as intersecting. Triangles without area are segments or points.
+#pragma once
+#include "mesh/queries/predicates.inl"
+
+static constexpr auto same = [](const point& a, const point& b) {
+    return a[0] == b[0] && a[1] == b[1] && a[2] == b[2];
+};
 
 // ---- Exact tests, by predicates only.
 
 // Segments in a plane, seen along axis k.
-auto flat_segments_meet = [&](int k, const point& p, const point& q, const point& a, const point& b) OUT_OF_LINE {
+static constexpr auto flat_segments_meet = [](int k, const point& p, const point& q, const point& a,
+                                              const point& b) OUT_OF_LINE {
     const int pa = turn(k, p, q, a), pb = turn(k, p, q, b), ap = turn(k, a, b, p), aq = turn(k, a, b, q);
     if (pa * pb > 0 || ap * aq > 0) return false;
     if (pa != 0 || pb != 0 || ap != 0 || aq != 0) return true;
@@ -20,7 +23,7 @@ auto flat_segments_meet = [&](int k, const point& p, const point& q, const point
             return false;
     return true;
 };
-auto segments_meet = [&](const point& p, const point& q, const point& a, const point& b) OUT_OF_LINE {
+static constexpr auto segments_meet = [](const point& p, const point& q, const point& a, const point& b) OUT_OF_LINE {
     if (orientation(p, q, a, b) != 0) return false;
     for (int k = 0; k < 3; ++k)
         // Along this axis their plane is not seen edge-on.
@@ -30,7 +33,7 @@ auto segments_meet = [&](const point& p, const point& q, const point& a, const p
         if (wp::max(p[k], q[k]) < wp::min(a[k], b[k]) || wp::max(a[k], b[k]) < wp::min(p[k], q[k])) return false;
     return true;
 };
-auto segment_meets = [&](const point& p, const point& q, const point* t) OUT_OF_LINE {
+static constexpr auto segment_meets = [](const point& p, const point& q, const point* t) OUT_OF_LINE {
     const int ps = orientation(t[0], t[1], t[2], p), qs = orientation(t[0], t[1], t[2], q);
     if (ps * qs > 0) return false;
     if (ps != 0 || qs != 0) {
@@ -53,17 +56,17 @@ auto segment_meets = [&](const point& p, const point& q, const point* t) OUT_OF_
     return segments_meet(p, q, t[0], t[1]) || segments_meet(p, q, t[1], t[2]) || segments_meet(p, q, t[2], t[0]);
 };
 // Whether p is between a and b or is one of them; all three are on one line.
-auto between = [](const point& a, const point& p, const point& b) {
+static constexpr auto between = [](const point& a, const point& p, const point& b) {
     for (int k = 0; k < 3; ++k)
         if (p[k] < wp::min(a[k], b[k]) || p[k] > wp::max(a[k], b[k])) return false;
     return true;
 };
-auto on_a_line = [&](const point* t) OUT_OF_LINE {
+static constexpr auto on_a_line = [](const point* t) OUT_OF_LINE {
     return turn(0, t[0], t[1], t[2]) == 0 && turn(1, t[0], t[1], t[2]) == 0 && turn(2, t[0], t[1], t[2]) == 0;
 };
 // Triangles that share t[0] = u[0]: a ray from there through another common point leaves one of them first, through the
 // opposite side, or through an end of it if they are segments that continue beyond the shared point.
-auto meet_beyond_vertex = [&](const point* t, const point* u) OUT_OF_LINE {
+static constexpr auto meet_beyond_vertex = [](const point* t, const point* u) OUT_OF_LINE {
     const bool t_through = on_a_line(t) && between(t[1], t[0], t[2]);
     const bool u_through = on_a_line(u) && between(u[1], u[0], u[2]);
     if (t_through ? segment_meets(t[1], t[1], u) || segment_meets(t[2], t[2], u) : segment_meets(t[1], t[2], u))
@@ -72,7 +75,7 @@ auto meet_beyond_vertex = [&](const point* t, const point* u) OUT_OF_LINE {
 };
 // Triangles that share t[0] = u[0] and t[1] = u[1]: they intersect only if folded over each other, or as segments
 // beyond one end.
-auto meet_beyond_edge = [&](const point* t, const point* u) OUT_OF_LINE {
+static constexpr auto meet_beyond_edge = [](const point* t, const point* u) OUT_OF_LINE {
     if (orientation(t[0], t[1], t[2], u[2]) != 0) return false;
     for (int k = 0; k < 3; ++k) {
         const int sides = turn(k, t[0], t[1], t[2]) * turn(k, t[0], t[1], u[2]);
@@ -86,7 +89,7 @@ auto meet_beyond_edge = [&](const point* t, const point* u) OUT_OF_LINE {
 
 // ---- Fast proofs that they do not intersect: a separating plane, with slack for rounding.
 
-auto apart = [&](const point& axis, const point* t, const point* u, double size) {
+static constexpr auto apart = [](const point& axis, const point* t, const point* u, double size) {
     double above = -INFINITY, below = INFINITY, other_above = -INFINITY, other_below = INFINITY;
     for (int k = 0; k < 3; ++k) {
         const double x = wp::dot(axis, t[k]), y = wp::dot(axis, u[k]);
@@ -98,8 +101,10 @@ auto apart = [&](const point& axis, const point* t, const point* u, double size)
     const double gap = PAIR_GAP_ERROR * (wp::abs(axis[0]) + wp::abs(axis[1]) + wp::abs(axis[2])) * size;
     return other_below - above > gap || below - other_above > gap;
 };
-auto largest = [](const point& a) { return wp::max(wp::max(wp::abs(a[0]), wp::abs(a[1])), wp::abs(a[2])); };
-auto surely_apart = [&](const point* t, const point* u) {
+static constexpr auto largest = [](const point& a) {
+    return wp::max(wp::max(wp::abs(a[0]), wp::abs(a[1])), wp::abs(a[2]));
+};
+static constexpr auto surely_apart = [](const point* t, const point* u) {
     // Relative to a corner: the differences are exact to their last bit.
     point a[3], b[3];
     double size = 0.0;
@@ -119,7 +124,7 @@ auto surely_apart = [&](const point* t, const point* u) {
     return false;
 };
 // For t[0] = u[0]: a plane through it that has the rest of t on one side and the rest of u on the other.
-auto surely_split_at_vertex = [&](const point* t, const point* u) OUT_OF_LINE {
+static constexpr auto surely_split_at_vertex = [](const point* t, const point* u) OUT_OF_LINE {
     const point a = t[1] - t[0], b = t[2] - t[0], c = u[1] - t[0], d = u[2] - t[0];
     auto weight = [](const point& v) { return 1.f / (wp::sqrt((float)wp::dot(v, v)) + 1e-30f); };
     const point n = a * (double)weight(a) + b * (double)weight(b) - c * (double)weight(c) - d * (double)weight(d);
@@ -133,7 +138,7 @@ auto surely_split_at_vertex = [&](const point* t, const point* u) OUT_OF_LINE {
 };
 // For t[0] = u[0] and t[1] = u[1]: seen along the axis that t faces most, they lie on opposite sides of the shared
 // edge.
-auto surely_split_at_edge = [&](const point* t, const point* u) OUT_OF_LINE {
+static constexpr auto surely_split_at_edge = [](const point* t, const point* u) OUT_OF_LINE {
     const point n = wp::cross(t[1] - t[0], t[2] - t[0]);
     const double x = wp::abs(n[0]), y = wp::abs(n[1]), z = wp::abs(n[2]);
     const int k = x >= y ? (x >= z ? 0 : 2) : (y >= z ? 1 : 2);
@@ -141,14 +146,16 @@ auto surely_split_at_edge = [&](const point* t, const point* u) OUT_OF_LINE {
     return likely_orientation(t[0], t[1], t[2], u[2]) != 2;
 };
 
-auto triangles_meet = [&](const point* t, const point* u) OUT_OF_LINE {
+static constexpr auto triangles_meet = [](const point* t, const point* u) OUT_OF_LINE {
     if (surely_apart(t, u)) return false;
     for (int k = 0; k < 3; ++k) {
         if (segment_meets(t[k], t[(k + 1) % 3], u) || segment_meets(u[k], u[(k + 1) % 3], t)) return true;
     }
     return false;
 };
-auto meet_beyond_shared = [&](const point* t, const point* u) {
+// Whether they have a common point that is not on the vertex or edge that they share by position; triangles with the
+// same three positions do.
+static constexpr auto meet_beyond_shared = [](const point* t, const point* u) {
     int t_shares = 0, u_shares = 0;  // bits of the corners that the other one has too
     for (int i = 0; i < 3; ++i)
         for (int j = 0; j < 3; ++j)

@@ -1,16 +1,15 @@
 // Exact orientation predicates of float64 points: a floating-point filter first, expansions where it cannot decide.
 //
-// Expects exact_arithmetic.inl; VOLUME_ERROR, AREA_ERROR, PARTS. Defines orientation(a, b, c, d): 1 where d lies below
-// the plane through a, b, c seen counterclockwise, -1 above, 0 on it; turn(k, a, b, c): 1 where a, b, c are
-// counterclockwise seen along axis k, -1 clockwise, 0 on a line; likely_orientation and likely_turn: the same from the
-// filter alone, 2 where it cannot decide. Exact unless a product underflows: coordinates of a scale near 1 with
-// differences above 1e-80 are safe. Also defines Sum, add, add_product, sign_of, split_difference, exact_orientation.
+// Exact unless a product underflows: coordinates of a scale near 1 with differences above 1e-80 are safe.
+#pragma once
+#include "mesh/bvh/exact_arithmetic.inl"
+
 // Sum is an exact sum: parts that do not overlap, smallest first; the last one has the sign of the sum.
 struct Sum {
     double part[PARTS];
     int count;
 };
-auto add = [&](Sum& sum, double value) {
+static constexpr auto add = [](Sum& sum, double value) {
     if (value == 0.0) return;
     int kept = 0;
     for (int i = 0; i < sum.count; ++i) {
@@ -23,19 +22,22 @@ auto add = [&](Sum& sum, double value) {
     if (value != 0.0) sum.part[kept++] = value;
     sum.count = kept;
 };
-auto add_product = [&](Sum& sum, double x, double y) {
+static constexpr auto add_product = [](Sum& sum, double x, double y) {
     const double xy = product(x, y);
     add(sum, fused(x, y, -xy));
     add(sum, xy);
 };
-auto sign_of = [](const Sum& sum) { return sum.count == 0 ? 0 : sum.part[sum.count - 1] > 0.0 ? 1 : -1; };
+static constexpr auto sign_of = [](const Sum& sum) {
+    return sum.count == 0 ? 0 : sum.part[sum.count - 1] > 0.0 ? 1 : -1;
+};
 // x - y as two parts.
-auto split_difference = [&](double x, double y, double* parts) {
+static constexpr auto split_difference = [](double x, double y, double* parts) {
     parts[0] = minus(x, y);
     const double back = minus(x, parts[0]);
     parts[1] = plus(minus(x, plus(parts[0], back)), minus(back, y));
 };
-auto exact_orientation = [&](const point& a, const point& b, const point& c, const point& d) OUT_OF_LINE {
+static constexpr auto exact_orientation = [](const point& a, const point& b, const point& c,
+                                             const point& d) OUT_OF_LINE {
     double part[3][3][2];
     for (int k = 0; k < 3; ++k) {
         split_difference(a[k], d[k], part[0][k]);
@@ -58,7 +60,7 @@ auto exact_orientation = [&](const point& a, const point& b, const point& c, con
     return sign_of(sum);
 };
 // Sign of the orientation if rounding leaves no doubt, else 2.
-auto likely_orientation = [&](const point& a, const point& b, const point& c, const point& d) {
+static constexpr auto likely_orientation = [](const point& a, const point& b, const point& c, const point& d) {
     const point ad = a - d, bd = b - d, cd = c - d;
     double det = 0.0, bound = 0.0;
     for (int k = 0; k < 3; ++k) {
@@ -70,17 +72,20 @@ auto likely_orientation = [&](const point& a, const point& b, const point& c, co
     bound *= VOLUME_ERROR;
     return det > bound ? 1 : det < -bound ? -1 : 2;
 };
-auto orientation = [&](const point& a, const point& b, const point& c, const point& d) OUT_OF_LINE {
+// 1 where d lies below the plane through a, b, c seen counterclockwise, -1 above, 0 on it.
+static constexpr auto orientation = [](const point& a, const point& b, const point& c, const point& d) OUT_OF_LINE {
     const int likely = likely_orientation(a, b, c, d);
     return likely != 2 ? likely : exact_orientation(a, b, c, d);
 };
-auto likely_turn = [&](int k, const point& a, const point& b, const point& c) {
+// The same of a turn.
+static constexpr auto likely_turn = [](int k, const point& a, const point& b, const point& c) {
     const int i = (k + 1) % 3, j = (k + 2) % 3;
     const double one = (a[i] - c[i]) * (b[j] - c[j]), other = (a[j] - c[j]) * (b[i] - c[i]);
     const double det = one - other, bound = AREA_ERROR * (wp::abs(one) + wp::abs(other));
     return det > bound ? 1 : det < -bound ? -1 : 2;
 };
-auto turn = [&](int k, const point& a, const point& b, const point& c) OUT_OF_LINE {
+// 1 where a, b, c are counterclockwise seen along axis k, -1 clockwise, 0 on a line.
+static constexpr auto turn = [](int k, const point& a, const point& b, const point& c) OUT_OF_LINE {
     const int likely = likely_turn(k, a, b, c);
     if (likely != 2) return likely;
     double part[4][2];

@@ -2,12 +2,9 @@
 // by splitting its largest range again until it has eight.
 //
 // A reference is one vector of eight: lower x y z, triangle, then the negatives of upper x y z and of the area. So the
-// bounds of many are the least of each lane. Expects core/simd.inl; references, sides (a byte for each), boxes; BINS,
-// WIDTH, TAKE_FROM, GAIN, AHEAD, SETS_FROM. Defines Range; bound(range); split(range, halve, left, right); open(range, halve,
-// child), which returns the number of children; write(node, child, count). Also defines Plane, NONE, UNKNOWN, data,
-// HUGE_BOX, LEAF_RANK, least, center, spread, area, area_four, blocks, FewBins, ManyBins, ManySets, cheapest_of, cheapest,
-// find_plane, part, part_at, cost_of, cost_split, take_out.
-#if !defined(__CUDA_ARCH__)
+// bounds of many are the least of each lane.
+#include "core/simd.inl"
+
 // A way to split a range: its axis, the first bin of the right part, and the costs, which count blocks of a leaf.
 struct Plane {
     int axis, bin;
@@ -20,28 +17,32 @@ struct Range {
     v8 centers;  // lower bounds of twice the centers, then the negatives of the upper ones
     Plane plane;
 };
+// What a build works on: references, and a byte for each.
+struct Build {
+    v8* data;
+    wp::uint8* sides;
+};
 // Instead of an axis: there is no plane; it was not looked for.
-const int NONE = -1, UNKNOWN = -2;
-v8* data = (v8*)references.data;
-const float HUGE_BOX = 3e38f;
+static constexpr int NONE = -1, UNKNOWN = -2;
+static constexpr float HUGE_BOX = 3e38f;
 // More than the area of any local box.
-const float LEAF_RANK = 100.f;
-auto least = [](const v8& a, const v8& b) { return a < b ? a : b; };
-auto center = [](const v8& r) -> v4 { return r.lo - r.hi; };
-auto area = [](const v8& box) {
+static constexpr float LEAF_RANK = 100.f;
+static constexpr auto least = [](const v8& a, const v8& b) { return a < b ? a : b; };
+static constexpr auto center = [](const v8& r) -> v4 { return r.lo - r.hi; };
+static constexpr auto area = [](const v8& box) {
     const v4 e = box.lo + box.hi;
     return e.x * e.y + e.y * e.z + e.z * e.x;
 };
 // Twice the center, and its negative.
-auto spread = [&](const v8& r) -> v8 {
+static constexpr auto spread = [](const v8& r) -> v8 {
     const v4 c = center(r), d = -c;
     return __builtin_shufflevector(c, d, 0, 1, 2, 3, 4, 5, 6, 7);
 };
 // Computes the bounds of a range from its references.
-auto bound = [&](Range& range) {
+static constexpr auto bound = [](const Build& build, Range& range) {
     v8 box = HUGE_BOX, centers = HUGE_BOX;
     for (int i = range.begin; i < range.end; ++i) {
-        const v8 r = data[i];
+        const v8 r = build.data[i];
         box = least(box, r);
         centers = least(centers, spread(r));
     }
@@ -49,9 +50,9 @@ auto bound = [&](Range& range) {
     range.centers = centers;
     range.plane = {UNKNOWN};
 };
-auto blocks = [](int n) { return (n + 7) >> 3; };
+static constexpr auto blocks = [](int n) { return (n + 7) >> 3; };
 // The areas of four boxes, from the sums of the two corners of each.
-auto area_four = [](const v4* e) -> v4 {
+static constexpr auto area_four = [](const v4* e) -> v4 {
     const v4 xy = __builtin_shufflevector(e[0], e[1], 0, 4, 1, 5), rs = __builtin_shufflevector(e[2], e[3], 0, 4, 1, 5);
     const v4 zw = __builtin_shufflevector(e[0], e[1], 2, 6, 3, 7), tw = __builtin_shufflevector(e[2], e[3], 2, 6, 3, 7);
     const v4 x = __builtin_shufflevector(xy, rs, 0, 1, 4, 5), y = __builtin_shufflevector(xy, rs, 2, 3, 6, 7);
@@ -70,7 +71,7 @@ struct ManySets {
     enum { COUNT = BINS, SETS = 4 };
 };
 // The cheapest plane between bins, for those references of a range that count.
-auto cheapest_of = [&](const Range& range, auto number, auto counts) {
+static constexpr auto cheapest_of = [](const v8* data, const Range& range, auto number, auto counts) {
     constexpr int COUNT = decltype(number)::COUNT, SETS = decltype(number)::SETS;
     const v4 low = range.centers.lo, extent = -range.centers.hi - low;
     Plane plane = {NONE, 0, HUGE_BOX, 0.f};
@@ -142,26 +143,26 @@ auto cheapest_of = [&](const Range& range, auto number, auto counts) {
     }
     return plane;
 };
-auto cheapest = [&](const Range& range, auto counts) {
+static constexpr auto cheapest = [](const v8* data, const Range& range, auto counts) {
     const int count = range.end - range.begin;
-    return count < 64          ? cheapest_of(range, FewBins(), counts)
-           : count < SETS_FROM ? cheapest_of(range, ManyBins(), counts)
-                               : cheapest_of(range, ManySets(), counts);
+    return count < 64          ? cheapest_of(data, range, FewBins(), counts)
+           : count < SETS_FROM ? cheapest_of(data, range, ManyBins(), counts)
+                               : cheapest_of(data, range, ManySets(), counts);
 };
 // Finds the plane of a range if it is not known.
-auto find_plane = [&](Range& range) {
-    if (range.plane.axis == UNKNOWN) range.plane = cheapest(range, [](const v8&) { return true; });
+static constexpr auto find_plane = [](const Build& build, Range& range) {
+    if (range.plane.axis == UNKNOWN) range.plane = cheapest(build.data, range, [](const v8&) { return true; });
 };
 // Moves the references for which is_left(numbers of a reference) to the left part, without a branch that depends on
 // them: their sides are written down, a block ahead at either end. After a reference for the left the next one comes
 // from the front, after one for the right from the back, whose place it takes.
-auto part = [&](const Range& range, Range& left, Range& right, auto is_left) {
+static constexpr auto part = [](const Build& build, const Range& range, Range& left, Range& right, auto is_left) {
     int i = range.begin, j = range.end - 1, from = i, front = i, back = j;
     auto look = [&](int first, int last) {
-        for (int k = first; k <= last; ++k) sides.data[k] = is_left((const float*)(data + k));
+        for (int k = first; k <= last; ++k) build.sides[k] = is_left((const float*)(build.data + k));
     };
     const v8 huge = HUGE_BOX;
-    v8 r = data[from], boxes_of[2] = {huge, huge}, centers_of[2] = {huge, huge};
+    v8 r = build.data[from], boxes_of[2] = {huge, huge}, centers_of[2] = {huge, huge};
     while (i <= j) {
         if (front <= i && front <= back) {
             const int last = front + AHEAD <= back ? front + AHEAD - 1 : back;
@@ -175,12 +176,12 @@ auto part = [&](const Range& range, Range& left, Range& right, auto is_left) {
         }
         const int ahead = front - i < j - back ? front - i : j - back;
         for (int step = front > back ? j - i + 1 : ahead; step > 0; --step) {
-            const int is = sides.data[from], place = is ? i : j;
+            const int is = build.sides[from], place = is ? i : j;
             i += is;
             j += is - 1;
             from = is ? i : place;
-            const v8 next = data[from];
-            data[place] = r;
+            const v8 next = build.data[from];
+            build.data[place] = r;
             const v8 both = spread(r);
             const i8 mask = -is;
             boxes_of[0] = least(boxes_of[0], mask ? r : huge);
@@ -193,24 +194,25 @@ auto part = [&](const Range& range, Range& left, Range& right, auto is_left) {
     left = {range.begin, i, boxes_of[0], centers_of[0], {UNKNOWN}};
     right = {i, range.end, boxes_of[1], centers_of[1], {UNKNOWN}};
 };
-auto part_at = [&](const Range& range, Range& left, Range& right) {
+static constexpr auto part_at = [](const Build& build, const Range& range, Range& left, Range& right) {
     const Plane& plane = range.plane;
     const int k = plane.axis;
     const float low = range.centers[k], factor = plane.factor[k];
-    part(range, left, right, [&](const float* r) { return (int)((r[k] - r[4 + k] - low) * factor) < plane.bin; });
+    part(build, range, left, right,
+         [&](const float* r) { return (int)((r[k] - r[4 + k] - low) * factor) < plane.bin; });
 };
 // Cost of a range as one more split leaves it.
-auto cost_split = [&](Range& range) {
+static constexpr auto cost_split = [](const Build& build, Range& range) {
     if (range.end - range.begin <= WIDTH) return area(range.box);
-    find_plane(range);
+    find_plane(build, range);
     return range.plane.cost;
 };
-auto cost_of = [&](const v8& box, int count) { return area(box) * blocks(count); };
+static constexpr auto cost_of = [](const v8& box, int count) { return area(box) * blocks(count); };
 // Takes out the references that are larger than a share of the range's area, if that pays: they would widen the boxes
 // of everything beside their centers, on all levels down to their leaf. Taken out they cost a leaf for each ray that
 // meets the range, and the rest can be split well. Compared are three parts each: the large ones and a split rest, or
 // a split range of which one part is split again. Where the range has a plane, it was split there into left and right.
-auto take_out = [&](const Range& range, Range& left, Range& right) {
+static constexpr auto take_out = [](const Build& build, const Range& range, Range& left, Range& right) {
     const float whole = area(range.box);
     if (-range.box[7] <= 0.03125f * whole) return false;
     // Bounds and numbers of the references by size, in parts whose limits are 1/2, 1/8, 1/32 of the area.
@@ -218,7 +220,7 @@ auto take_out = [&](const Range& range, Range& left, Range& right) {
     v8 box[4] = {huge, huge, huge, huge}, centers[4] = {huge, huge, huge, huge};
     int above[3] = {0, 0, 0};
     for (int i = range.begin; i < range.end; ++i) {
-        const v8 r = data[i], both = spread(r);
+        const v8 r = build.data[i], both = spread(r);
         const float a = -r[7];
         if (__builtin_expect(a > 0.03125f * whole, 0)) {
             const bool half = a > 0.5f * whole, eighth = a > 0.125f * whole;
@@ -241,7 +243,7 @@ auto take_out = [&](const Range& range, Range& left, Range& right) {
     float best = HUGE_BOX;
     if (range.plane.axis >= 0) {
         const float a = cost_of(left.box, left.end - left.begin), b = cost_of(right.box, right.end - right.begin);
-        const float c = cost_split(left), d = cost_split(right);
+        const float c = cost_split(build, left), d = cost_split(build, right);
         best = GAIN * (a + d < c + b ? a + d : c + b);
     }
     float best_share = 0.f, share = 0.5f;
@@ -258,7 +260,7 @@ auto take_out = [&](const Range& range, Range& left, Range& right) {
                 rest.centers = least(rest.centers, centers[size]);
             }
         const float limit = share * whole;
-        rest.plane = cheapest(rest, [&](const v8& r) { return -r[7] <= limit; });
+        rest.plane = cheapest(build.data, rest, [&](const v8& r) { return -r[7] <= limit; });
         const float now = cost_of(large, above[s]) + rest.plane.cost;
         if (now < best) {
             best = now;
@@ -267,27 +269,27 @@ auto take_out = [&](const Range& range, Range& left, Range& right) {
         }
     }
     if (best_share == 0.f) return false;
-    part(range, left, right, [&](const float* r) { return -r[7] > best_share * whole; });
+    part(build, range, left, right, [&](const float* r) { return -r[7] > best_share * whole; });
     right.plane = plane;
     return true;
 };
 // Splits a range into two non-empty ones.
-auto split = [&](Range& range, bool halve, Range& left, Range& right) {
+static constexpr auto split = [](const Build& build, Range& range, bool halve, Range& left, Range& right) {
     if (!halve) {
-        find_plane(range);
+        find_plane(build, range);
         const bool is_split = range.plane.axis >= 0;
-        if (is_split) part_at(range, left, right);
-        if (range.end - range.begin >= TAKE_FROM && take_out(range, left, right)) return;
+        if (is_split) part_at(build, range, left, right);
+        if (range.end - range.begin >= TAKE_FROM && take_out(build, range, left, right)) return;
         if (is_split) return;
     }
     left.begin = range.begin;
     left.end = right.begin = range.begin + (range.end - range.begin) / 2;
     right.end = range.end;
-    bound(left);
-    bound(right);
+    bound(build, left);
+    bound(build, right);
 };
 // Splits a range into the children of one node; returns their number.
-auto open = [&](const Range& range, bool halve, Range* child) {
+static constexpr auto open = [](const Build& build, const Range& range, bool halve, Range* child) {
     int count = 1;
     child[0] = range;
     while (count < WIDTH) {
@@ -303,7 +305,7 @@ auto open = [&](const Range& range, bool halve, Range* child) {
         }
         if (largest < 0) break;
         Range whole = child[largest];
-        split(whole, halve, child[largest], child[count]);
+        split(build, whole, halve, child[largest], child[count]);
         ++count;
     }
     // Leaves last, and larger children behind smaller ones: rays that any hit ends visit them from the last one on.
@@ -316,11 +318,144 @@ auto open = [&](const Range& range, bool halve, Range* child) {
     }
     return count;
 };
-auto write = [&](int node, const Range* child, int count) {
+static constexpr auto write = [](const wp::array_t<float>& boxes, int node, const Range* child, int count) {
     for (int c = 0; c < WIDTH; ++c)
         for (int k = 0; k < 3; ++k) {
             boxes.data[node * 48 + k * 8 + c] = c < count ? child[c].box[k] : HUGE_BOX;
             boxes.data[node * 48 + 24 + k * 8 + c] = c < count ? -child[c].box[4 + k] : -HUGE_BOX;
         }
 };
-#endif
+
+// Writes the reference of triangle i: its local box, rounded outward, and its area.
+static constexpr auto write_reference = [](int i, const wp::array_t<wp::vec3d>& vertices, const wp::array_t<int>& faces,
+                                           const wp::vec3d& origin, double scale, wp::array_t<float>& out_references) {
+    const int* face = faces.data + (wp::int64)3 * i;
+    auto corner = [&](int k) {
+        const wp::vec3d& p = vertices.data[face[k]];
+        return (d4){p[0] - origin[0], p[1] - origin[1], p[2] - origin[2], 0.0};
+    };
+    const d4 a = corner(0), b = corner(1), c = corner(2);
+    auto lower_of = [](const d4& p, const d4& q) { return p < q ? p : q; };
+    const d4 lower = lower_of(lower_of(a, b), c), upper = lower_of(lower_of(-a, -b), -c);
+    d8 both = __builtin_shufflevector(lower, upper, 0, 1, 2, 3, 4, 5, 6, 7);
+    both = both / scale;
+    // Within a unit in the last place below the nearest float32; the product is rounded before it is subtracted.
+    v8 box = __builtin_convertvector(both, v8);
+    const v8 slack = 1.2e-7f * __builtin_elementwise_abs(box);
+    box = box - slack - 1e-30f;
+    const v4 e = box.lo + box.hi;
+    box[3] = __builtin_bit_cast(float, i);
+    box[7] = -(e.x * e.y + e.y * e.z + e.z * e.x);
+    *(v8*)(out_references.data + (wp::int64)8 * i) = box;
+};
+
+// Builds the top of a tree of the references `begin` to `end` - 1: nodes are opened in the order of their numbers, from
+// place `base` on, until their children hold at most `limit` references. Those children are left to build_subtree, as
+// child number -1 - subtree.
+static constexpr auto build_top =
+    [](const wp::array_t<float>& references, const wp::array_t<wp::uint8>& sides, int tree, int begin, int end,
+       int base, int limit, int capacity, const wp::array_t<int>& scratch, wp::array_t<float>& boxes,
+       wp::array_t<int>& children, wp::array_t<int>& out_subtree, wp::array_t<int>& out_size) {
+        const Build build = {(v8*)references.data, sides.data};
+        Range root;
+        root.begin = begin;
+        root.end = end;
+        bound(build, root);
+        Range* waiting = (Range*)(scratch.data + (long long)WAITING_WORDS * base);
+        int* depth = (int*)(waiting + capacity);
+        int nodes = 1, subtrees = 0;
+        waiting[0] = root;
+        depth[0] = 0;
+        for (int node = 0; node < nodes; ++node) {
+            Range child[WIDTH];
+            const int found = open(build, waiting[node], depth[node] >= HALVING_DEPTH, child);
+            write(boxes, base + node, child, found);
+            for (int c = 0; c < WIDTH; ++c) {
+                int number = NO_CHILD;
+                if (c < found && child[c].end - child[c].begin > limit && nodes < capacity) {
+                    waiting[nodes] = child[c];
+                    depth[nodes] = depth[node] + 1;
+                    number = nodes++;
+                } else if (c < found) {
+                    int* row = out_subtree.data + 3 * (WIDTH * base + subtrees);
+                    row[0] = child[c].begin;
+                    row[1] = child[c].end;
+                    row[2] = depth[node] + 1;
+                    number = -1 - subtrees++;
+                }
+                children.data[(base + node) * WIDTH + c] = number;
+            }
+        }
+        out_size.data[2 * tree] = nodes;
+        out_size.data[2 * tree + 1] = subtrees;
+    };
+
+// Builds one subtree. Its nodes get numbers from node_base on, parents before children. Its leaves are written from
+// position `begin` on, which has room for one leaf per reference.
+static constexpr auto build_subtree =
+    [](const wp::array_t<float>& references, const wp::array_t<wp::uint8>& sides, int subtree, int begin, int end,
+       int start_depth, int node_base, wp::array_t<float>& boxes, wp::array_t<int>& children,
+       wp::array_t<int>& leaf_begin, wp::array_t<int>& leaf_end, wp::array_t<int>& out_size) {
+        const Build build = {(v8*)references.data, sides.data};
+        Range root;
+        root.begin = begin;
+        root.end = end;
+        bound(build, root);
+        int nodes = 0, leaves = 0;
+        auto leaf = [&](const Range& r) {
+            leaf_begin.data[begin + leaves] = r.begin;
+            leaf_end.data[begin + leaves] = r.end;
+            return -1 - leaves++;
+        };
+        if (end - begin <= WIDTH) leaf(root);
+        else {
+            Range waiting[STACK];
+            int number[STACK], depth[STACK], height = 1;
+            waiting[0] = root;
+            number[0] = nodes++;
+            depth[0] = start_depth;
+            while (height > 0) {
+                --height;
+                const int node = number[height], level = depth[height];
+                const Range range = waiting[height];
+                Range child[WIDTH];
+                const int found = open(build, range, level >= HALVING_DEPTH, child);
+                write(boxes, node_base + node, child, found);
+                for (int c = 0; c < WIDTH; ++c) {
+                    int value = NO_CHILD;
+                    if (c < found && child[c].end - child[c].begin <= WIDTH) value = leaf(child[c]);
+                    else if (c < found) {
+                        waiting[height] = child[c];
+                        depth[height] = level + 1;
+                        number[height++] = value = nodes++;
+                    }
+                    children.data[(node_base + node) * WIDTH + c] = value;
+                }
+            }
+        }
+        out_size.data[2 * subtree] = nodes;
+        out_size.data[2 * subtree + 1] = leaves;
+    };
+
+// Recomputes the boxes of the nodes from those of the leaves' blocks. Children have larger numbers than their parents:
+// from the last node to the first, everything below a node is done before it.
+static constexpr auto refit_nodes = [](int count, const wp::array_t<int>& children,
+                                       const wp::array_t<float>& block_boxes, wp::array_t<float>& boxes) {
+    for (int node = count - 1; node >= 0; --node) {
+        for (int c = 0; c < WIDTH; ++c) {
+            const int child = children.data[WIDTH * node + c];
+            if (child == NO_CHILD) continue;
+            for (int k = 0; k < 6; ++k) {
+                float side;
+                if (child < 0) side = block_boxes.data[6 * (-1 - child) + k];
+                else {
+                    // Boxes of absent children are inverted, so that they widen nothing.
+                    const float* row = boxes.data + 48 * child + 8 * k;
+                    side = row[0];
+                    for (int j = 1; j < WIDTH; ++j) side = k < 3 ? wp::min(side, row[j]) : wp::max(side, row[j]);
+                }
+                boxes.data[48 * node + 8 * k + c] = side;
+            }
+        }
+    }
+};

@@ -1,13 +1,14 @@
 // Multipole moments of a node's children, and its own raw moments for its parent. bvh8_moments_kernels.py defines them.
-//
-// Expects core/simd.inl; tree, raw, moments, areas, flipped, node; RAW_SIZE, MOMENT_ROWS, RADIUS_SLACK, NOWHERE.
-#if !defined(__CUDA_ARCH__)
-{
+#include "core/simd.inl"
+
+static constexpr auto node_moments = [](const SurfaceTree& tree, const wp::array_t<bool>& flipped, int node,
+                                        wp::array_t<double>& raw, wp::array_t<float>& moments,
+                                        wp::array_t<float>& areas) {
 // Fused products round less, and are faster.
 #pragma clang fp contract(fast)
-    typedef wp::vec_t<3, wp::float64> point;
     const double inverse = 1.0 / tree.scale;
-    // Products with the linear form (x, y, z) . v; the terms of polynomials are ordered by rising powers of z, then of y.
+    // Products with the linear form (x, y, z) . v; the terms of polynomials are ordered by rising powers of z, then of
+    // y.
     auto add_linear_by_linear = [](const d8* d, const d8* p, d8* out) {
         out[0] += d[0] * p[0];
         out[1] += d[0] * p[1] + d[1] * p[0];
@@ -42,7 +43,7 @@
         for (int j = 0; j < 8; ++j) {
             // Empty slots become points at the first corner.
             const int slot = 8 * block + (j < filled ? j : 0);
-            const point* from = tree.corners.data + 3 * slot;
+            const wp::vec3d* from = tree.corners.data + 3 * slot;
             const bool turned = flipped.data && flipped.data[tree.slot_triangle.data[slot]];
             sign_of[j] = turned ? -0.5 : 0.5;
             for (int k = 0; k < 9; ++k) corner[k][j] = j < filled ? from[k / 3][k % 3] : from[0][k % 3];
@@ -174,5 +175,4 @@
             row[j] = NOWHERE;
             row[24 + j] = 0.f;
         }
-}
-#endif
+};

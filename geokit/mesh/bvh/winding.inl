@@ -1,15 +1,29 @@
-// The winding number around a point, in the CPU tree: clusters far enough away contribute by their multipole moments,
-// nearby triangles by their solid angles, eight at a time.
-//
-// Expects core/simd.inl; tree, winding, p; ON_SURFACE, PLANE_ROWS, MOMENT_ROWS, QUEUE, LEAVES, STACK, NEAR, SMALL.
-// Defines size (the largest local coordinate of p), on_surface, and walk(opening, spread): the winding number, with
-// clusters counted by moments from `opening` radii on. spread, if not null, gets the sum of the absolute terms of the
-// last order; walk sets on_surface if p is on a triangle. Also defines point, append, total, zero, q, X, Y, Z,
-// half_angle.
-#if !defined(__CUDA_ARCH__)
-typedef wp::vec_t<3, wp::float64> point;
+// The winding number around a point, and whether it exceeds 1/2; `empty` is the half width of the cube, in local units,
+// outside of which it is zero.
+#include "core/simd.inl"
+
+#if defined(__CUDA_ARCH__)
+// By warp's own tree of solid angles.
+static constexpr auto number_of = [](const SurfaceTree& tree, const WindingTree& winding, double empty,
+                                     const wp::vec3d& p) -> float {
+    const wp::vec3d q = (p - tree.origin) / tree.scale;
+    const double size = wp::max(wp::max(wp::abs(q[0]), wp::abs(q[1])), wp::abs(q[2]));
+    // A point at a great distance, or one that overflowed in the local frame, has winding number zero.
+    if (!(size <= wp::min(empty, FAR))) return 0.f;
+    return wp::mesh_query_winding_number(winding.mesh, wp::vec3(q[0], q[1], q[2]), ACCURACY);
+};
+static constexpr auto winding_number_at = [](const SurfaceTree& tree, const WindingTree& winding, double empty,
+                                             const wp::vec3d& p) -> double {
+    return number_of(tree, winding, empty, p);
+};
+static constexpr auto is_inside = [](const SurfaceTree& tree, const WindingTree& winding, double empty,
+                                     const wp::vec3d& p) -> bool { return number_of(tree, winding, empty, p) > 0.5f; };
+#else
+// In the CPU tree: clusters far enough away contribute by their multipole moments, nearby triangles by their solid
+// angles, eight at a time.
+
 // Appends the selected lanes; writes up to eight entries beyond the end.
-auto append = [](int* to, i8 values, unsigned lanes) {
+static constexpr auto append = [](int* to, i8 values, unsigned lanes) {
     #if defined(__AVX512VL__)
     typedef int x86 __attribute__((__vector_size__(32)));
     *(i8*)to = (i8)__builtin_ia32_compresssi256_mask((x86)values, (x86)values, lanes);
@@ -20,39 +34,59 @@ auto append = [](int* to, i8 values, unsigned lanes) {
     return count;
     #endif
 };
-auto total = [](const v8& v) {
+static constexpr auto total = [](const v8& v) {
     return ((double)(v[0] + v[4]) + (v[1] + v[5])) + ((double)(v[2] + v[6]) + (v[3] + v[7]));
 };
-const v8 zero = 0.f;
-const double q[3] = {(p[0] - tree.origin[0]) / tree.scale, (p[1] - tree.origin[1]) / tree.scale,
-                     (p[2] - tree.origin[2]) / tree.scale};
-double size = 0.0;
-for (int k = 0; k < 3; ++k) size = wp::max(size, q[k] < 0.0 ? -q[k] : q[k]);
-const float X = (float)q[0], Y = (float)q[1], Z = (float)q[2];
-bool on_surface = false;
+// A point to ask about, in the world and in the tree's local frame; on_surface is set once it is found on a triangle.
+struct Query {
+    const SurfaceTree& tree;
+    const WindingTree& winding;
+    const wp::vec3d& p;
+    double q[3], size;
+    bool on_surface;
+};
+static constexpr auto query_of = [](const SurfaceTree& tree, const WindingTree& winding, const wp::vec3d& p) -> Query {
+    Query query = {tree,
+                   winding,
+                   p,
+                   {(p[0] - tree.origin[0]) / tree.scale, (p[1] - tree.origin[1]) / tree.scale,
+                    (p[2] - tree.origin[2]) / tree.scale},
+                   0.0,
+                   false};
+    for (int k = 0; k < 3; ++k) query.size = wp::max(query.size, query.q[k] < 0.0 ? -query.q[k] : query.q[k]);
+    return query;
+};
 // Half the solid angle of one triangle, in float64.
-auto half_angle = [&](int slot) {
+static constexpr auto half_angle = [](Query& query, int slot) {
     #pragma clang fp contract(fast)
-    const point* corner = tree.corners.data + 3 * slot;
+    const SurfaceTree& tree = query.tree;
+    const wp::vec3d& p = query.p;
+    const wp::vec3d* corner = tree.corners.data + 3 * slot;
     const double inverse = 1.0 / tree.scale;
-    const point a = (corner[0] - p) * inverse, b = (corner[1] - p) * inverse, c = (corner[2] - p) * inverse;
+    const wp::vec3d a = (corner[0] - p) * inverse, b = (corner[1] - p) * inverse, c = (corner[2] - p) * inverse;
     const double la = wp::length(a), lb = wp::length(b), lc = wp::length(c);
     // The edges, not the corners: nearby, the edges are the longer vectors.
     const double volume = wp::dot(a, wp::cross(b - a, c - a));
     const double cosine = lc * (la * lb + wp::dot(a, b)) + wp::dot(b, c) * la + wp::dot(c, a) * lb;
-    const float area = winding.areas.data[slot];
+    const float area = query.winding.areas.data[slot];
     if (area == 0.f) return 0.0;
     if (volume == 0.0) {
         // In the triangle's plane; on the triangle both sides are equally near.
-        on_surface = on_surface || cosine <= ON_SURFACE * (la * lb * lc);
+        query.on_surface = query.on_surface || cosine <= ON_SURFACE * (la * lb * lc);
         return 0.0;
     }
     const double angle = wp::atan2(volume, cosine);
     return area > 0.f ? -angle : angle;
 };
-auto walk = [&](float opening, float* spread) -> double {
+// The winding number, with clusters counted by moments from `opening` radii on. spread, if not null, gets the sum of
+// the absolute terms of the last order.
+static constexpr auto walk = [](Query& query, float opening, float* spread) -> double {
     // Fused products round less, and are faster: the sum is approximate in any case.
     #pragma clang fp contract(fast)
+    const SurfaceTree& tree = query.tree;
+    const WindingTree& winding = query.winding;
+    const v8 zero = 0.f;
+    const float X = (float)query.q[0], Y = (float)query.q[1], Z = (float)query.q[2];
     int queue[QUEUE + STACK + 8], head = 0, tail = 1;
     int list[LEAVES + 16], leaves = 0;
     v8 far_sum = 0.f, last = 0.f, angles = 0.f;
@@ -94,7 +128,7 @@ auto walk = [&](float opening, float* spread) -> double {
             unsigned mask = mask_of(near);
             if (__builtin_expect(mask, 0)) {
                 angle = near ? zero : angle;
-                for (; mask; mask &= mask - 1) near_angles += half_angle(8 * block + __builtin_ctz(mask));
+                for (; mask; mask &= mask - 1) near_angles += half_angle(query, 8 * block + __builtin_ctz(mask));
             }
             angles += angle;
         }
@@ -128,5 +162,24 @@ auto walk = [&](float opening, float* spread) -> double {
     sum_leaves();
     if (spread) *spread = (float)total(last);
     return sum + near_angles * 0.15915494309189535;
+};
+static constexpr auto winding_number_at = [](const SurfaceTree& tree, const WindingTree& winding, double empty,
+                                             const wp::vec3d& p) -> double {
+    Query query = query_of(tree, winding, p);
+    // A point at a great distance, or one that overflowed in the local frame, has winding number zero.
+    if (!(query.size <= wp::min(empty, FAR))) return 0;
+    return walk(query, OPENING, nullptr);
+};
+// A coarse sum first, then a fine one if the coarse sum is too close to 1/2. Nothing on the surface is inside.
+static constexpr auto is_inside = [](const SurfaceTree& tree, const WindingTree& winding, double empty,
+                                     const wp::vec3d& p) -> bool {
+    Query query = query_of(tree, winding, p);
+    if (!(query.size <= wp::min(empty, FAR))) return false;
+    float spread;
+    const double coarse = walk(query, OPENING_SIGN, &spread);
+    if (query.on_surface) return false;
+    const double doubt = coarse > 0.5 ? coarse - 0.5 : 0.5 - coarse;
+    if (doubt > SIGN_MARGIN + SIGN_SPREAD * spread) return coarse > 0.5;
+    return walk(query, OPENING, nullptr) > 0.5;
 };
 #endif

@@ -3,26 +3,26 @@
 // A triangle that the ray hits well inside ends the search behind it. One that it hits within the margin of an edge
 // does not, and is decided in float64 together with the other candidates. With ANY_HIT a triangle that the ray hits
 // well inside, and well within its length, ends the whole search; the widest triangles are tested before the tree.
-//
-// Expects load_node_bvh2.inl; tree, start, direction, t_min, t_max; CANDIDATES, IS_SLIVER, NO_CANDIDATE, UNDECIDED,
-// NEAR_START, PLANE_MARGIN, ENDLESS, LEAST_COMPONENT, SLOT_WORDS, SLIVER; with ANY_HIT also wide (slots) and SURE.
-// Defines found: the candidates' slots, with the bit IS_SLIVER, up to NO_CANDIDATE; found[0] is UNDECIDED where they do
-// not fit or the ray starts too far away for float32, and SURE where the ray hits something. Also defines search and
-// Four.
-#if !defined(__CUDA_ARCH__)
-// Warp's CPU compiler has these only as built-ins; tests run this search on a CPU.
-auto fminf = [](float a, float b) { return __builtin_fminf(a, b); };
-auto fmaxf = [](float a, float b) { return __builtin_fmaxf(a, b); };
-auto fabsf = [](float a) { return __builtin_fabsf(a); };
-auto sqrtf = [](float a) { return __builtin_sqrtf(a); };
-auto copysignf = [](float a, float b) { return __builtin_copysignf(a, b); };
-#endif
+#include "mesh/bvh/bvh2_packed.inl"
+#include "mesh/bvh/ray_triangle.inl"
+
 struct alignas(16) Four {
     float x, y, z, w;
 };
-int found[CANDIDATES];
-found[0] = NO_CANDIDATE;
-auto search = [&]() {
+
+// The candidates' slots, with the bit IS_SLIVER, up to NO_CANDIDATE. found[0] is UNDECIDED where they do not fit or the
+// ray starts too far away for float32, and SURE where the ray hits something. `wide` are the slots of wide triangles.
+static constexpr auto find_candidates = [](const SurfaceTree& tree, const int* wide, int wide_count, const point& start,
+                                           const point& direction, double t_min, double t_max, int* found) {
+#if !defined(__CUDA_ARCH__)
+    // Warp's CPU compiler has these only as built-ins; tests run this search on a CPU.
+    auto fminf = [](float a, float b) { return __builtin_fminf(a, b); };
+    auto fmaxf = [](float a, float b) { return __builtin_fmaxf(a, b); };
+    auto fabsf = [](float a) { return __builtin_fabsf(a); };
+    auto sqrtf = [](float a) { return __builtin_sqrtf(a); };
+    auto copysignf = [](float a, float b) { return __builtin_copysignf(a, b); };
+#endif
+    found[0] = NO_CANDIDATE;
     float sx, sy, sz, tx, ty, tz, last;
     {
         const double largest = wp::max(wp::max(wp::abs(direction[0]), wp::abs(direction[1])), wp::abs(direction[2]));
@@ -73,10 +73,8 @@ auto search = [&]() {
     int slot_of[CANDIDATES];
     int count = 0;
     bool full = false;
-    #if defined(ANY_HIT)
     const float end = (last - PLANE_MARGIN) * 0.999998f - PLANE_MARGIN;
     bool sure = false;
-    #else
     float nearest_of[CANDIDATES];
     auto prune = [&]() {
         int kept = 0;
@@ -87,7 +85,6 @@ auto search = [&]() {
             }
         count = kept;
     };
-    #endif
     // Multiplied by dz, with signs such that dz is positive: grazing rays lose no digits in a division.
     auto test = [&](int slot) {
         const Four* row = (const Four*)(tree.leaves.data + SLOT_WORDS * slot);
@@ -103,32 +100,30 @@ auto search = [&]() {
         const float ca = cy * x - cx * y, bc = (cx - longest) * y - cy * (x - longest * down);
         if (!(y >= -PLANE_MARGIN && ca >= -margin && bc >= -margin)) return;
         const bool inside = y > PLANE_MARGIN && ca > margin && bc > margin && depth > PLANE_MARGIN;
-        #if defined(ANY_HIT)
-        sure = inside && depth + PLANE_MARGIN < end * down;
-        if (sure) return;
-        #else
-        const float farthest = (depth + PLANE_MARGIN) / down * 1.000001f;
-        if (inside && farthest < last) last = farthest;
-        if (count == CANDIDATES) prune();
-        #endif
+        if (ANY_HIT) {
+            sure = inside && depth + PLANE_MARGIN < end * down;
+            if (sure) return;
+        } else {
+            const float farthest = (depth + PLANE_MARGIN) / down * 1.000001f;
+            if (inside && farthest < last) last = farthest;
+            if (count == CANDIDATES) prune();
+        }
         if (count == CANDIDATES) {
             full = true;
             return;
         }
         slot_of[count++] = cy < SLIVER * longest ? slot | IS_SLIVER : slot;
-        #if !defined(ANY_HIT)
-        nearest_of[count - 1] = (depth - PLANE_MARGIN) / down * 0.999999f;
-        #endif
+        if (!ANY_HIT) nearest_of[count - 1] = (depth - PLANE_MARGIN) / down * 0.999999f;
     };
-    #if defined(ANY_HIT)
-    for (int k = 0; k < wide.shape[0] && !sure; ++k) test(wide.data[k]);
-    if (sure) {
-        found[0] = SURE;
-        return;
+    if (ANY_HIT) {
+        for (int k = 0; k < wide_count && !sure; ++k) test(wide[k]);
+        if (sure) {
+            found[0] = SURE;
+            return;
+        }
+        count = 0;  // the walk meets them again
+        full = false;
     }
-    count = 0;  // the walk meets them again
-    full = false;
-    #endif
     int stack[64], height = 0, node = tree.ray_children.data[0];
     while (true) {
         bool in_box = true;
@@ -143,22 +138,16 @@ auto search = [&]() {
             in_box = (left_first ? tl : tr) < INFINITY;
         }
         if (in_box) {
-            #if defined(ANY_HIT)
-            for (int slot = first_slot(node); slot < end_slot(node) && !sure; ++slot) test(slot);
+            for (int slot = first_slot(node); slot < end_slot(tree.leaves, node) && !sure; ++slot) test(slot);
             if (sure) {
                 found[0] = SURE;
                 return;
             }
-            #else
-            for (int slot = first_slot(node); slot < end_slot(node); ++slot) test(slot);
-            #endif
         }
         if (height == 0) break;
         node = stack[--height];
     }
-    #if !defined(ANY_HIT)
-    prune();
-    #endif
+    if (!ANY_HIT) prune();
     if (full) {
         found[0] = UNDECIDED;
         return;
@@ -166,4 +155,61 @@ auto search = [&]() {
     for (int i = 0; i < count; ++i) found[i] = slot_of[i];
     if (count < CANDIDATES) found[count] = NO_CANDIDATE;
 };
-search();
+
+// The first hit: decides the nearest of a ray's candidates in float64.
+static constexpr auto first_hit = [](const SurfaceTree& tree, const point& start, const point& direction, double t_min,
+                                     double t_max, int ray, wp::array_t<double>& out_t,
+                                     wp::array_t<int>& out_triangle_id, wp::array_t<wp::vec3d>& out_barycentric,
+                                     wp::array_t<int>& out_bad) {
+    int found[CANDIDATES];
+    find_candidates(tree, nullptr, 0, start, direction, t_min, t_max, found);
+    if (found[0] == UNDECIDED) {
+        out_triangle_id.data[ray] = UNDECIDED;
+        out_bad.data[1] = 1;
+        return;
+    }
+    double best = t_max, weight_b = 0.0, weight_c = 0.0;
+    int winner = -1;
+    for (int i = 0; i < CANDIDATES; ++i) {
+        if (found[i] < 0) break;
+        const int slot = found[i] & ~IS_SLIVER;
+        double t, v, w;
+        if (!hit_at_all(tree, start, direction, slot, t, v, w)) continue;
+        if (slot != found[i]) refine_sliver(tree, start, direction, slot, t, v, w);
+        if (t < t_min || t > best) continue;
+        // Ties go to the lowest triangle.
+        if (t == best && winner >= 0 && tree.slot_triangle.data[slot] > tree.slot_triangle.data[winner]) continue;
+        best = t;
+        weight_b = v;
+        weight_c = w;
+        winner = slot;
+    }
+    const double none = (double)NAN;
+    out_t.data[ray] = winner < 0 ? (double)INFINITY : best;
+    out_triangle_id.data[ray] = winner < 0 ? -1 : tree.slot_triangle.data[winner];
+    out_barycentric.data[ray] =
+        winner < 0 ? point(none, none, none) : point(1.0 - weight_b - weight_c, weight_b, weight_c);
+};
+
+// Decides in float64 whether a ray hits one of its candidates.
+static constexpr auto any_hit = [](const SurfaceTree& tree, const wp::array_t<int>& wide, const point& start,
+                                   const point& direction, double t_min, double t_max, int ray,
+                                   wp::array_t<bool>& out_occluded, wp::array_t<int>& out_bad) {
+    int found[CANDIDATES];
+    find_candidates(tree, wide.data, wide.shape[0], start, direction, t_min, t_max, found);
+    if (found[0] == UNDECIDED) {
+        ((unsigned char*)out_occluded.data)[ray] = LEFT_OVER;
+        out_bad.data[1] = 1;
+        return;
+    }
+    bool is_hit = found[0] == SURE;
+    for (int i = 0; i < CANDIDATES && !is_hit; ++i) {
+        if (found[i] < 0) break;
+        const int slot = found[i] & ~IS_SLIVER;
+        double t, v, w;
+        if (!hit_at_all(tree, start, direction, slot, t, v, w)) continue;
+        if (slot != found[i]) refine_sliver(tree, start, direction, slot, t, v, w);
+        is_hit = t >= t_min && t <= t_max;
+    }
+    out_occluded.data[ray] = is_hit;
+};

@@ -1,0 +1,280 @@
+// The nearest pair of triangles of two surfaces, and the points of theirs that are nearest to each other.
+//
+// Triangles that do not meet are nearest at a vertex of one and a point of the other, or inside an edge of each.
+#include "core/simd.inl"
+#include "mesh/bvh/bvh2_packed.inl"
+#include "mesh/bvh/closest_on_triangle.inl"
+#include "mesh/queries/triangle_pair.inl"
+
+static constexpr auto vertex_gap = [](const point& p, const point* u, point& y) {
+    const point ab = u[1] - u[0], ac = u[2] - u[0];
+    double v, w;
+    const double squared = closest_on_triangle(p - u[0], ab, ac, v, w);
+    y = u[0] + v * ab + w * ac;
+    return squared;
+};
+// The segments p + s d and q + r e. Their inner minimum from cross products: of nearly parallel segments the first
+// solution has few correct digits, and its correction gives the rest. Ends are vertices, and those are tested anyway.
+static constexpr auto edge_gap = [](const point& p, const point& d, const point& q, const point& e, double& s,
+                                    double& r) {
+    auto share = [](double part, double whole) { return part <= 0.0 ? 0.0 : part >= whole ? 1.0 : part / whole; };
+    const point n = wp::cross(d, e);
+    const double nn = wp::dot(n, n);
+    if (!(nn > 0.0)) return (double)INFINITY;
+    const point apart = p - q;
+    s = r = 0.0;
+    for (int k = 0; k < 2; ++k) {
+        const point rest = apart + s * d - r * e;
+        s -= wp::dot(wp::cross(rest, e), n) / nn;
+        r -= wp::dot(wp::cross(rest, d), n) / nn;
+    }
+    s = s > 0.0 ? wp::min(s, 1.0) : 0.0;
+    r = share(wp::dot(apart + s * d, e), wp::dot(e, e));
+    s = share(wp::dot(r * e - apart, d), wp::dot(d, d));
+    const point rest = apart + s * d - r * e;
+    return wp::dot(rest, rest);
+};
+static constexpr auto feature_gap = [](const point* t, const point* u, point& x, point& y) OUT_OF_LINE {
+    double least = INFINITY;
+    for (int side = 0; side < 2; ++side)
+        for (int k = 0; k < 3; ++k) {
+            const point p = side ? u[k] : t[k];
+            point q;
+            const double squared = vertex_gap(p, side ? t : u, q);
+            if (squared >= least) continue;
+            least = squared;
+            x = side ? q : p;
+            y = side ? p : q;
+        }
+    for (int i = 0; i < 3; ++i)
+        for (int j = 0; j < 3; ++j) {
+            const point d = t[(i + 1) % 3] - t[i], e = u[(j + 1) % 3] - u[j];
+            double s, r;
+            const double squared = edge_gap(t[i], d, u[j], e, s, r);
+            if (squared >= least) continue;
+            least = squared;
+            x = t[i] + s * d;
+            y = u[j] + r * e;
+        }
+    return least;
+};
+static constexpr auto boxes_meet = [](const point* t, const point* u) {
+    for (int k = 0; k < 3; ++k)
+        if (wp::max(wp::max(t[0][k], t[1][k]), t[2][k]) < wp::min(wp::min(u[0][k], u[1][k]), u[2][k])
+            || wp::max(wp::max(u[0][k], u[1][k]), u[2][k]) < wp::min(wp::min(t[0][k], t[1][k]), t[2][k]))
+            return false;
+    return true;
+};
+// The squared distance of two triangles, arrays of three points; sets x on t and y on u. 0 and a common point, to
+// rounding, where they meet, which is decided exactly.
+static constexpr auto triangle_gap = [](const point* t, const point* u, point& x, point& y) OUT_OF_LINE {
+    const bool meet = boxes_meet(t, u) && triangles_meet(t, u);
+    double least = feature_gap(t, u, x, y);
+    // Rounding may make 0 of a gap: triangles that do not meet are apart.
+    if (!meet) return wp::max(least, 1e-300);
+    // Where an edge goes through the other triangle, no vertex and no other edge need be near.
+    for (int side = 0; side < 2; ++side) {
+        const point *one = side ? u : t, *other = side ? t : u;
+        const point n = wp::cross(other[1] - other[0], other[2] - other[0]);
+        for (int k = 0; k < 3; ++k) {
+            const point p = one[k], q = one[(k + 1) % 3];
+            const double from = wp::dot(n, p - other[0]), to = wp::dot(n, q - other[0]);
+            if (!(from * to < 0.0)) continue;
+            const point through = p + (from / (from - to)) * (q - p);
+            point found;
+            const double squared = vertex_gap(through, other, found);
+            if (squared >= least) continue;
+            least = squared;
+            x = through;
+        }
+    }
+    y = x;
+    return 0.0;
+};
+
+// The nearest pair of one item: a leaf of eight slots on a CPU, one slot on CUDA, against a whole tree.
+//
+// The tree is pruned in float64 by the distance of its boxes from those of the item. Pairs as near as the limit, a
+// squared distance in units, count, and ties go to the lowest triangle of the surface, then of the tree: which pair
+// wins in the end depends neither on the order of items nor on how soon the limit falls. Writes the squared distance
+// (in units, inf without a pair) and both slots (-1), and returns the lower one of that distance and the limit.
+static constexpr auto nearest_pair = [](int item, const wp::array_t<wp::vec3d>& corners,
+                                        const wp::array_t<int>& slot_triangle, const SurfaceTree& tree,
+                                        const wp::array_t<float>& slot_boxes, double unit, double limit,
+                                        wp::array_t<double>& out_squared, wp::array_t<int>& out_slots) -> double {
+    double best = limit, reach = 0.0, far = 0.0;
+    int winner = -1, winner_other = -1;
+#if defined(__CUDA_ARCH__)
+    const int width = 1;
+#else
+    const int width = 8;
+#endif
+    // Boxes in the tree's local frame.
+    double lows[width][3], highs[width][3], low[3], high[3];
+    for (int k = 0; k < 3; ++k) {
+        low[k] = INFINITY;
+        high[k] = -INFINITY;
+    }
+    for (int lane = 0; lane < width; ++lane) {
+        const int slot = width * item + lane;
+        const point* p = corners.data + 3 * slot;
+        for (int k = 0; k < 3; ++k) {
+            lows[lane][k] = INFINITY;
+            highs[lane][k] = -INFINITY;
+            if (slot_triangle.data[slot] < 0) continue;
+            lows[lane][k] = (wp::min(wp::min(p[0][k], p[1][k]), p[2][k]) - tree.origin[k]) / tree.scale;
+            highs[lane][k] = (wp::max(wp::max(p[0][k], p[1][k]), p[2][k]) - tree.origin[k]) / tree.scale;
+            low[k] = wp::min(low[k], lows[lane][k]);
+            high[k] = wp::max(high[k], highs[lane][k]);
+            far = wp::max(far, wp::max(wp::abs(lows[lane][k]), wp::abs(highs[lane][k])));
+        }
+    }
+    // Farther boxes hold no pair as near as the best one, whatever the rounding.
+    auto update_reach = [&]() {
+        const double local = sqrt(best) / unit / tree.scale * (1.0 + 1e-12) + (BOX_PADDING + 1e-14 * far);
+        reach = local * local;
+    };
+    // Whether a slab between the triangles, across the line of their centers, is wider than the best distance.
+    auto surely_farther = [&](const point* t, const point* u) {
+        point a[3], b[3];
+        double size = 0.0, above = -INFINITY, below = INFINITY;
+        for (int k = 0; k < 3; ++k) {
+            a[k] = t[k] - t[0];
+            b[k] = u[k] - t[0];
+            size = wp::max(size, wp::max(largest(a[k]), largest(b[k])));
+        }
+        const point axis = (b[0] + b[1] + b[2]) - (a[0] + a[1] + a[2]);
+        for (int k = 0; k < 3; ++k) {
+            above = wp::max(above, wp::dot(axis, a[k]));
+            below = wp::min(below, wp::dot(axis, b[k]));
+        }
+        const double gap = below - above - 1e-14 * largest(axis) * size;
+        return gap > 0.0 && gap * gap > best * wp::dot(axis, axis) * (1.0 + 1e-12);
+    };
+    auto evaluate = [&](int slot, int other) {
+        const int triangle = slot_triangle.data[slot], another = tree.slot_triangle.data[other];
+        if (triangle < 0 || another < 0) return;
+        point t[3], u[3], x, y;
+        for (int k = 0; k < 3; ++k) {
+            t[k] = corners.data[3 * slot + k] * unit;
+            u[k] = tree.corners.data[3 * other + k] * unit;
+        }
+        if (surely_farther(t, u)) return;
+        const double squared = triangle_gap(t, u, x, y);
+        if (!(squared <= best)) return;
+        if (squared == best && winner >= 0) {
+            const int first = slot_triangle.data[winner];
+            if (triangle > first || (triangle == first && another > tree.slot_triangle.data[winner_other])) return;
+        }
+        winner = slot;
+        winner_other = other;
+        if (squared == best) return;
+        best = squared;
+        update_reach();
+    };
+    update_reach();
+#if defined(__CUDA_ARCH__)
+    auto gap_of = [&](double lx, double ly, double lz, double ux, double uy, double uz) {
+        const double x = wp::max(wp::max(lx - high[0], low[0] - ux), 0.0),
+                     y = wp::max(wp::max(ly - high[1], low[1] - uy), 0.0),
+                     z = wp::max(wp::max(lz - high[2], low[2] - uz), 0.0);
+        return x * x + y * y + z * z;
+    };
+    int stack[64], depth = 0, node = tree.children.data[0];
+    double entry[64];
+    while (true) {
+        if (node >= 0) {
+            const Node n = load_node(tree.boxes.data, node);
+            const double dl = gap_of(n.lx, n.ly, n.lz, n.lX, n.lY, n.lZ),
+                         dr = gap_of(n.rx, n.ry, n.rz, n.rX, n.rY, n.rZ);
+            const bool left_first = dl <= dr;
+            if ((left_first ? dr : dl) <= reach) {
+                stack[depth] = left_first ? n.right : n.left;
+                entry[depth++] = left_first ? dr : dl;
+            }
+            node = left_first ? n.left : n.right;
+            if ((left_first ? dl : dr) <= reach) continue;
+        } else {
+            for (int other = first_slot(node); other < end_slot(tree.leaves, node); ++other) {
+                double lower[3], upper[3];
+                const point* p = tree.corners.data + 3 * other;
+                for (int k = 0; k < 3; ++k) {
+                    lower[k] = (wp::min(wp::min(p[0][k], p[1][k]), p[2][k]) - tree.origin[k]) / tree.scale;
+                    upper[k] = (wp::max(wp::max(p[0][k], p[1][k]), p[2][k]) - tree.origin[k]) / tree.scale;
+                }
+                if (gap_of(lower[0], lower[1], lower[2], upper[0], upper[1], upper[2]) <= reach) evaluate(item, other);
+            }
+        }
+        do --depth;
+        while (depth >= 0 && entry[depth] > reach);
+        if (depth < 0) break;
+        node = stack[depth];
+    }
+#else
+    // Squared distance of eight boxes, given as six rows, from one.
+    auto gap_of = [&](const float* rows, const double* lower, const double* upper) {
+        const d8 zero = 0.0;
+        d8 sum = 0.0;
+        for (int k = 0; k < 3; ++k) {
+            const d8 from = __builtin_convertvector(*(const v8*)(rows + 8 * k), d8),
+                     to = __builtin_convertvector(*(const v8*)(rows + 24 + 8 * k), d8);
+            const d8 gap = __builtin_elementwise_max(__builtin_elementwise_max(from - upper[k], lower[k] - to), zero);
+            sum += gap * gap;
+        }
+        return sum;
+    };
+    int stack[STACK], height = 1;
+    double entry[STACK];
+    stack[0] = 0;
+    entry[0] = 0.0;
+    while (height > 0) {
+        --height;
+        if (entry[height] > reach) continue;
+        const int node = stack[height];
+        if (node < 0) {
+            const int first = 8 * (-1 - node);
+            for (int lane = 0; lane < 8; ++lane) {
+                if (slot_triangle.data[8 * item + lane] < 0) continue;
+                const d8 gap = gap_of(slot_boxes.data + 6 * first, lows[lane], highs[lane]);
+                for (unsigned mask = mask_of(gap <= reach); mask; mask &= mask - 1) {
+                    const int j = __builtin_ctz(mask);
+                    if (gap[j] <= reach) evaluate(8 * item + lane, first + j);
+                }
+            }
+            continue;
+        }
+        const float* rows = tree.boxes.data + 48 * node;
+        const d8 gap = gap_of(rows, low, high);
+        const int base = height;
+        for (unsigned mask = mask_of(gap <= reach); mask; mask &= mask - 1) {
+            const int j = __builtin_ctz(mask);
+            if (rows[j] > rows[24 + j]) continue;  // no child
+            const double d = gap[j];
+            int at = height++;
+            for (; at > base && entry[at - 1] < d; --at) {
+                entry[at] = entry[at - 1];
+                stack[at] = stack[at - 1];
+            }
+            entry[at] = d;
+            stack[at] = tree.children.data[8 * node + j];
+        }
+    }
+#endif
+    out_squared.data[item] = winner < 0 ? (double)INFINITY : best;
+    out_slots.data[2 * item] = winner;
+    out_slots.data[2 * item + 1] = winner_other;
+    return best;
+};
+
+// Writes the nearest points of two triangles [world], one of each.
+static constexpr auto points_of_pair = [](const wp::array_t<wp::vec3d>& corners, int slot, const SurfaceTree& tree,
+                                          int other, double unit, wp::array_t<wp::vec3d>& out_points) {
+    point t[3], u[3], x, y;
+    for (int k = 0; k < 3; ++k) {
+        t[k] = corners.data[3 * slot + k] * unit;
+        u[k] = tree.corners.data[3 * other + k] * unit;
+    }
+    triangle_gap(t, u, x, y);
+    out_points.data[0] = x / unit;
+    out_points.data[1] = y / unit;
+};

@@ -1,0 +1,93 @@
+// Pairs of intersecting triangles for one item: a leaf of eight slots on a CPU, one slot on CUDA.
+#include "mesh/bvh/box_walk.inl"
+#include "mesh/queries/triangle_pair.inl"
+
+// Calls on_pair(slot, other) with a slot of `surface` and one of `tree`. Pairs of a surface with itself are visited
+// once, from the lower slot.
+static constexpr auto visit_pairs = [](int item, const SurfaceTree& surface, const SurfaceTree& tree,
+                                       const wp::array_t<float>& slot_boxes, bool itself, double unit, auto&& on_pair) {
+#if defined(__CUDA_ARCH__)
+    const int width = 1;
+#else
+    const int width = 8;
+#endif
+    float lows[width][3], highs[width][3], low[3], high[3];
+    for (int k = 0; k < 3; ++k) {
+        low[k] = INFINITY;
+        high[k] = -INFINITY;
+    }
+    for (int lane = 0; lane < width; ++lane) {
+        const int slot = width * item + lane;
+        if (surface.slot_triangle.data[slot] < 0) {
+            for (int k = 0; k < 3; ++k) {
+                lows[lane][k] = INFINITY;
+                highs[lane][k] = -INFINITY;
+            }
+            continue;
+        }
+        double lower[3], upper[3];
+        const point* p = surface.corners.data + 3 * slot;
+        for (int k = 0; k < 3; ++k) {
+            lower[k] = wp::min(wp::min(p[0][k], p[1][k]), p[2][k]);
+            upper[k] = wp::max(wp::max(p[0][k], p[1][k]), p[2][k]);
+        }
+        local_box(tree, lower, upper, lows[lane], highs[lane]);
+        for (int k = 0; k < 3; ++k) {
+            low[k] = wp::min(low[k], lows[lane][k]);
+            high[k] = wp::max(high[k], highs[lane][k]);
+        }
+    }
+    auto test = [&](int slot, int other) {
+        point t[3], u[3];
+        for (int k = 0; k < 3; ++k) {
+            t[k] = surface.corners.data[3 * slot + k] * unit;
+            u[k] = tree.corners.data[3 * other + k] * unit;
+        }
+        if (!(itself ? meet_beyond_shared(t, u) : triangles_meet(t, u))) return;
+        on_pair(slot, other);
+    };
+    auto visit = [&](int first) {
+        if (itself && first < width * item) return;
+    #if defined(__CUDA_ARCH__)
+        if (!itself || first > item) test(item, first);
+    #else
+        const v8* box = (const v8*)(slot_boxes.data + 6 * first);
+        for (int lane = 0; lane < 8; ++lane) {
+            const auto meets = (box[0] <= highs[lane][0]) & (box[1] <= highs[lane][1]) & (box[2] <= highs[lane][2])
+                               & (box[3] >= lows[lane][0]) & (box[4] >= lows[lane][1]) & (box[5] >= lows[lane][2]);
+            unsigned mask = mask_of(meets);
+            if (itself && first == 8 * item) mask &= ~0u << (lane + 1);
+            for (; mask; mask &= mask - 1) test(8 * item + lane, first + __builtin_ctz(mask));
+        }
+    #endif
+    };
+    walk_boxes(tree, low, high, visit);
+};
+
+static constexpr auto count_pairs = [](int item, const SurfaceTree& surface, const SurfaceTree& tree,
+                                       const wp::array_t<float>& slot_boxes, bool itself, double unit,
+                                       wp::array_t<wp::int64>& out_count) {
+    wp::int64 count = 0;
+    visit_pairs(item, surface, tree, slot_boxes, itself, unit, [&](int, int) { ++count; });
+    out_count.data[item] = count;
+};
+
+// Writes pairs of triangles; within one surface, the lower one first.
+static constexpr auto fill_pairs = [](int item, wp::int64 at, const SurfaceTree& surface, const SurfaceTree& tree,
+                                      const wp::array_t<float>& slot_boxes, bool itself, double unit,
+                                      wp::array_t<int>& out_pairs) {
+    visit_pairs(item, surface, tree, slot_boxes, itself, unit, [&](int slot, int other) {
+        const int one = surface.slot_triangle.data[slot], another = tree.slot_triangle.data[other];
+        const bool turned = itself && one > another;
+        out_pairs.data[2 * at] = turned ? another : one;
+        out_pairs.data[2 * at++ + 1] = turned ? one : another;
+    });
+};
+
+static constexpr auto find_pair = [](int item, const SurfaceTree& surface, const SurfaceTree& tree,
+                                     const wp::array_t<float>& slot_boxes, bool itself, double unit,
+                                     wp::array_t<int>& out_found) {
+    // Another thread may have found a pair already.
+    if (out_found.data[0]) return;
+    visit_pairs(item, surface, tree, slot_boxes, itself, unit, [&](int, int) { out_found.data[0] = 1; });
+};
