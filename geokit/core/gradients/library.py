@@ -22,7 +22,6 @@ class Library(NamedTuple):
         kept: ``kept(cache, name, array, like)``: the same of an array that belongs to an object, uploaded once and kept
             in its cache where the library can.
         wide, whole: A tensor in float64, in int64.
-        rows: ``rows(condition)``: the numbers of the rows where a constant condition holds.
         listed: ``listed(offsets, total)``: for each of ``total`` entries that offsets (N + 1,) divide, its part.
         detach: A tensor as a constant.
         on_host: A constant tensor as a NumPy array.
@@ -43,7 +42,6 @@ class Library(NamedTuple):
     kept: Callable[..., Any]
     wide: Callable[..., Any]
     whole: Callable[..., Any]
-    rows: Callable[..., Any]
     listed: Callable[..., Any]
     detach: Callable[..., Any]
     on_host: Callable[..., Any]

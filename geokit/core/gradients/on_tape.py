@@ -15,18 +15,15 @@ import warp as wp
 from numpy.typing import NDArray
 
 from geokit.core.base.snapshot import snapshot
+from geokit.core.gradients.kernel_arrays import add_to, pulled_by_kernel
 from geokit.core.gradients.rules import Asked, Call, is_tracked, untracked
 from geokit.core.gradients.with_numpy import Followed, plain, pulled, pulled_back
-from geokit.core.interop.arrays import detached, reinterpreted
+from geokit.core.interop.arrays import detached
 from geokit.core.launches import warp_private
 from geokit.core.require import read_array
 from geokit.errors import InputError
 
 __all__ = ["attach", "derived"]
-
-# Numbers and vectors of one precision.
-_SINGLE, _DOUBLE = (wp.float32, wp.vec3f), (wp.float64, wp.vec3d)
-_NUMBERS = {wp.float32: _SINGLE, wp.vec3f: _SINGLE, wp.float64: _DOUBLE, wp.vec3d: _DOUBLE}
 
 
 def attach(call: Call) -> Any:
@@ -40,20 +37,25 @@ def attach(call: Call) -> Any:
     others = {name: _kept(value) for name, value in call.asked.arguments.items() if name not in arrays}
     if rule.check is not None:
         rule.check(Asked(arrays, {**others, **arrays}))
-    if rule.on_host is not None:
-        rule.on_host(Asked(arrays, {**others, **arrays}))
     given = call.run(*map(detached, arrays.values()))
     outputs = given if isinstance(given, tuple) else (given,)
     wanted = {name: array for name, array in arrays.items() if array.requires_grad}
 
     def on_device(slopes: list[Any]) -> bool:
-        return rule.on_device is not None and _on_device(rule.on_device, arrays, others, outputs, slopes)
+        totals = {name: array.grad for name, array in wanted.items()}
+        if not all(total.size and total.is_contiguous for total in totals.values()):
+            return False
+        asked = Asked({name: detached(array) for name, array in arrays.items()}, others)
+        found = pulled_by_kernel(call.query, asked, outputs, slopes, list(wanted))
+        for name, part in (found or {}).items():
+            add_to(totals[name], part)
+        return found is not None
 
     def back(slopes: list[Any]) -> list[NDArray[Any]]:
         tensors = {name: _rows(array) for name, array in arrays.items()}
         inputs = {name: part for name, part in tensors.items() if name in call.query.inputs}
-        answer = [out.numpy() for out in outputs]
-        found = pulled(rule, Asked(tensors, {**others, **inputs}), answer, slopes, list(wanted))
+        answer = [_rows(out) for out in outputs]
+        found = pulled(call.query, Asked(tensors, {**others, **inputs}), answer, slopes, list(wanted))
         return [found[name] for name in wanted]
 
     _record(list(wanted.values()), list(outputs), rule.has_slope, back, ", ".join(call.names), on_device)
@@ -180,28 +182,6 @@ def _consumed(out: Any) -> NDArray[np.float64] | None:
 def _consume(out: Any) -> None:
     if not out.retain_grad:
         out.grad.zero_()
-
-
-def _on_device(
-    pull: Callable[..., bool], arrays: dict[str, Any], others: dict[str, Any], outputs: Any, slopes: list[Any]
-) -> bool:
-    """Call a rule's ``on_device`` if the arrays are as it takes them."""
-    totals = {name: array.grad for name, array in arrays.items() if array.requires_grad}
-    first = next(iter(arrays.values()))
-    numbers = _NUMBERS[first.dtype]
-    given = [*arrays.values(), *totals.values(), *outputs, *(slope for slope in slopes if slope is not None)]
-    if any(array.device != first.device or not array.is_contiguous or not array.size for array in given):
-        return False
-    if any(array.dtype not in (*numbers, wp.int32) for array in given):
-        return False
-
-    def vectors(array: Any) -> Any:
-        is_table = array is not None and array.ndim == 2 and array.shape[1] == 3 and array.dtype == numbers[0]
-        return reinterpreted(array, numbers[1], array.shape[:1]) if is_table else array
-
-    asked = Asked({name: vectors(detached(array)) for name, array in arrays.items()}, others)
-    by_name = {name: vectors(total) for name, total in totals.items()}
-    return pull(asked, [vectors(out) for out in outputs], [vectors(slope) for slope in slopes], by_name)
 
 
 def _add_to(array: Any, part: NDArray[Any]) -> None:

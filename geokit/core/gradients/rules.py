@@ -55,25 +55,19 @@ class Rule(NamedTuple):
             constants.
         prepare: ``prepare(library, asked)``: searches of the backward pass, for constant tensors; ``build`` may not
             search.
-        quick: ``quick(library, asked, answer, slopes, wanted)``: the first derivatives that are wanted, by name, where
-            there is a shorter way than through ``build``; None where there is not. A slope is None where it is 0. It
-            may look at values, so jax does not ask for it.
+        adjoint: ``adjoint(asked, answer, slopes, wanted, arrays)``: the wanted first derivatives, by name, by a
+            kernel on the arrays where they lie; None where there is none for this call. All that are no tensors of
+            objects lie on one device and are of one precision; ``arrays`` takes them to the kernel
+            (:class:`~geokit.core.gradients.kernel_arrays.WarpArrays`). A slope is None where it is 0.
         pull: In place of ``build``: ``pull(library, asked, answer, slopes)`` gives the derivative with respect to each
             tensor in ``asked.tensors``, by name; ``slopes`` are those with respect to the outputs.
         has_slope: For each output, whether it has a derivative.
-        on_host: ``on_host(asked)(asked, slopes)`` gives the first derivatives for NumPy arrays, by name, where
-            ``prepare`` finds arrays whose shapes depend on values: jax calls it in place of ``build``. The first call
-            sees tracers.
-        on_device: ``on_device(asked, answer, slopes, totals)`` adds the first derivatives to ``totals``, arrays of warp
-            by name, and returns whether it could: a shorter way for a tape of warp. All its arrays are contiguous, on
-            one device and of one precision, vectors where there are rows of three; a slope is None where there is none.
-        on_tensors: ``on_tensors(asked, answer, slopes, wanted)``: what ``quick`` gives, by a kernel on tensors of torch
-            where they lie; None where there is none for this call. It reads their memory only: they may be in a graph.
+        is_traced: Whether jax can trace ``build`` or ``pull``; if not, ``adjoint`` gets arrays of NumPy in their place.
         at_once: ``at_once(asked)`` gives the answer to tensors of torch, a tuple, together with its derivative by each
             number of the first tensor, where one kernel finds both; None where none does. Of an answer (N,) to rows
             (N, 3), the derivative is (N, 3).
-        check: ``check(asked)`` raises the error for a call that has no derivative, where a tape of warp must know it
-            before the answer.
+        check: ``check(asked)`` raises the error for a call without a derivative, for a tape of warp and for jax, which
+            must know it before the answer.
         shapes: ``shapes(asked)`` gives shape and kind ("float" for that of the tensors, or "int32") of each output, for
             jax and torch.compile, which need them before the answer.
     """
@@ -81,11 +75,9 @@ class Rule(NamedTuple):
     has_slope: tuple[bool, ...]
     build: Callable[..., tuple[Any, ...]] | None = None
     prepare: Callable[..., Any] | None = None
-    quick: Callable[..., dict[str, Any] | None] | None = None
+    adjoint: Callable[..., dict[str, Any] | None] | None = None
     pull: Callable[..., dict[str, Any]] | None = None
-    on_host: Callable[[Asked], Callable[[Asked, Any], dict[str, Any]]] | None = None
-    on_device: Callable[..., bool] | None = None
-    on_tensors: Callable[..., dict[str, Any] | None] | None = None
+    is_traced: bool = True
     at_once: Callable[[Asked], tuple[tuple[Any, ...], Any] | None] | None = None
     check: Callable[[Asked], None] | None = None
     shapes: Callable[..., list[tuple[tuple[int, ...], str]]] | None = None

@@ -15,7 +15,7 @@ from geokit.core.memory.host_array import array_descriptor
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["TensorRows", "device_of", "launch", "number_of"]
+__all__ = ["TensorArrays", "TensorRows", "device_of", "launch", "number_of"]
 
 
 class TensorRows(KernelArray):
@@ -34,6 +34,9 @@ class TensorRows(KernelArray):
         self._tensor = tensor
         self._descriptor: Any = None
 
+    def __len__(self) -> int:
+        return len(self._tensor)
+
     @property
     def descriptor(self) -> Any:
         if self._descriptor is None:
@@ -51,6 +54,35 @@ class TensorRows(KernelArray):
         vector = wp.vec3d if number is wp.float64 else wp.vec3f
         array: Any = wp.from_torch(self._tensor.detach(), dtype=vector if self._tensor.ndim == 2 else number)
         return array
+
+
+class TensorArrays:
+    """What the kernel of a derivative works on; as :class:`geokit.core.gradients.kernel_arrays.WarpArrays`."""
+
+    def __init__(self, like: Any, add: Any) -> None:
+        """``add(rows, index, count)`` gives the sums of the rows of each index."""
+        self.device, self.number, self._like, self._add = device_of(like), number_of(like), like, add
+
+    def given(self, values: Any, width: int = 1) -> Any:
+        """Values as an argument of a kernel: numbers, or rows of ``width`` 3; None is an array without rows."""
+        if values is None:
+            values = self._like.new_empty((0, 3) if width == 3 else 0)
+        return TensorRows(values.reshape(-1, 3) if width == 3 else values.reshape(-1))
+
+    def made(self, count: int, width: int, number: Any = None) -> Any:
+        """A new tensor of ``count`` numbers or rows, of the coordinates' type if no other is given."""
+        import warp as wp
+
+        kind = {wp.float64: torch.float64, wp.int32: torch.int32, None: self._like.dtype}[number]
+        return self._like.new_empty((count, 3) if width == 3 else count, dtype=kind)
+
+    def launch(self, kernel: Any, count: int, inputs: Sequence[Any], outputs: Sequence[Any]) -> None:
+        """Run a kernel; outputs are tensors that :meth:`made` gave."""
+        launch(kernel, count, inputs, list(map(TensorRows, outputs)), self.device)
+
+    def added(self, rows: Any, index: Any, count: int) -> Any:
+        """The sums (count, 3) of the rows of each index, in the order of the rows: the same bits in every run."""
+        return self._add(rows, index, count) if len(rows) else rows.new_zeros((count, 3))
 
 
 def device_of(tensor: Any) -> "wp.Device":

@@ -112,7 +112,7 @@ def _pull(
     wanted = [name for name in known.names if name not in others]
     asked = asked._replace(tensors={name: asked.tensors[name] for name in wanted})
     rule = known.query.rule()
-    found = by_kernel(rule, asked, answer, slopes, wanted)
+    found = by_kernel(known.query, asked, answer, slopes, wanted)
     if found is None:
         found = pulled(rule, asked, answer, slopes, wanted)
     given = zip(known.names, tensors, strict=True)

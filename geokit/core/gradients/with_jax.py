@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from geokit.core.gradients.kernel_arrays import pulled_by_kernel
 from geokit.core.gradients.library import Library
 from geokit.core.gradients.rules import Asked, Call, Deferred, owner_of
 from geokit.errors import InputError
@@ -102,18 +103,18 @@ def _query(call: Call, *tensors: Any) -> Any:
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
-def _pulled_on_host(call: Call, tensors: Any, slopes: Any) -> Any:
-    """The derivatives of a rule with ``on_host``."""
-    on_host: Any = call.query.rule().on_host
-    pull, count = on_host(_asked(call, tensors)), len(tensors)
+def _pulled_on_host(call: Call, tensors: Any, answer: Any, slopes: Any) -> Any:
+    """The derivatives of a rule whose kernel has them, but no closed form that jax can trace."""
+    counts = len(tensors), len(tensors) + len(answer)
+    specs = tuple(jax.ShapeDtypeStruct(tensor.shape, tensor.dtype) for tensor in tensors)
 
     def run(*rows: Any) -> Any:
-        given = [np.asarray(row) for row in rows]
-        found = pull(_asked(call, given[:count]), given[count:])
-        return tuple(found[name].astype(row.dtype) for name, row in zip(call.names, given[:count], strict=True))
+        given = [np.asarray(row, np.float64) for row in rows]
+        asked, found = _asked(call, given[: counts[0]]), given[counts[0] : counts[1]]
+        pulls: Any = pulled_by_kernel(call.query, asked, found, given[counts[1] :], list(call.names))
+        return tuple(np.asarray(pulls[name], spec.dtype) for name, spec in zip(call.names, specs, strict=True))
 
-    specs = tuple(jax.ShapeDtypeStruct(tensor.shape, tensor.dtype) for tensor in tensors)
-    return jax.pure_callback(run, specs, *tensors, *slopes, vmap_method="sequential")
+    return jax.pure_callback(run, specs, *tensors, *answer, *slopes, vmap_method="sequential")
 
 
 @_pulled_on_host.defjvp
@@ -129,10 +130,10 @@ def _forward(call: Call, *tensors: Any) -> Any:
 def _backward(call: Call, kept: Any, slopes: Any) -> Any:
     tensors, answer = kept
     asked, rule = _asked(call, tensors), call.query.rule()
-    if rule.on_host is not None:
-        return _pulled_on_host(call, tensors, slopes)
-    if rule.prepare is not None:
-        raise InputError(f"{', '.join(call.names)}: the derivative searches again, which jax cannot trace; use torch")
+    if not rule.is_traced:
+        if rule.check is not None:
+            rule.check(asked)  # errors of a callback have another type
+        return _pulled_on_host(call, tensors, answer, slopes)
     if rule.pull is not None:
         found = rule.pull(LIBRARY, asked, answer, slopes)
         return tuple(found[name].astype(tensor.dtype) for name, tensor in zip(call.names, tensors, strict=True))
@@ -231,7 +232,6 @@ LIBRARY = Library(
     kept=lambda cache, name, values, like: _constant(values, like),
     wide=_wide,
     whole=lambda tensor: tensor.astype(jnp.result_type(int)),
-    rows=lambda condition: jnp.nonzero(condition)[0],
     listed=lambda offsets, total: jnp.repeat(
         jnp.arange(len(offsets) - 1), jnp.diff(offsets), total_repeat_length=total
     ),

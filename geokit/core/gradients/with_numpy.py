@@ -14,8 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core.base.query import Query
+from geokit.core.gradients.kernel_arrays import pulled_by_kernel
 from geokit.core.gradients.library import Library
-from geokit.core.gradients.rules import Asked, Rule
+from geokit.core.gradients.rules import Asked
 
 __all__ = ["LIBRARY", "Followed", "plain", "pulled", "pulled_back"]
 
@@ -140,28 +142,25 @@ def plain(value: Any) -> Any:
     return value.value if isinstance(value, Followed) else value
 
 
-def pulled(rule: Rule, asked: Asked, answer: Any, slopes: Any, wanted: list[str]) -> dict[str, Any]:
+def pulled(query: Query, asked: Asked, answer: Any, slopes: Any, wanted: list[str]) -> dict[str, Any]:
     """Derivatives with respect to the arrays ``wanted``, from those with respect to the answer, by name.
 
     Args:
-        rule: The query's rule.
+        query: The query.
         asked: The call, of constants; its tensors are float64.
         answer: The outputs.
         slopes: Derivatives with respect to the outputs; None where they are 0.
         wanted: Names of tensors.
     """
+    rule = query.rule()
     with np.errstate(all="ignore"):  # of rows that were not found, which do not count
-        if rule.quick is not None:
-            short = rule.quick(LIBRARY, asked, answer, slopes, wanted)
-            if short is not None:
-                return short
-        if rule.on_host is not None or rule.pull is not None:
+        if not rule.is_traced:
+            by_kernel = pulled_by_kernel(query, asked, answer, slopes, wanted)
+            if by_kernel is not None:
+                return by_kernel
+        if rule.pull is not None:
             given = [np.zeros(out.shape) if slope is None else slope for out, slope in zip(answer, slopes, strict=True)]
-            found = (
-                rule.on_host(asked)(asked, given)
-                if rule.on_host is not None
-                else rule.pull(LIBRARY, asked, answer, given)  # type: ignore[misc]
-            )
+            found = rule.pull(LIBRARY, asked, answer, given)
             return {name: plain(found[name]) for name in wanted}
         if rule.prepare is not None:
             asked = asked._replace(prepared=rule.prepare(LIBRARY, asked))
@@ -277,7 +276,6 @@ LIBRARY = Library(
     kept=lambda cache, name, values, like: values,
     wide=lambda array: array if isinstance(array, Followed) else array.astype(np.float64),
     whole=lambda array: plain(array).astype(np.int64),
-    rows=np.flatnonzero,
     listed=lambda offsets, total: np.repeat(np.arange(len(offsets) - 1), np.diff(offsets)),
     detach=plain,
     on_host=plain,

@@ -8,9 +8,11 @@ from typing import Any
 
 import torch
 
+from geokit.core.base.query import Query
 from geokit.core.base.snapshot import snapshot
 from geokit.core.gradients.library import Library
 from geokit.core.gradients.rules import Asked, Call, Rule, untracked
+from geokit.core.gradients.tensor_rows import TensorArrays
 from geokit.core.launches.late_checks import AtEnd
 from geokit.core.require import read_array
 from geokit.errors import InputError
@@ -66,11 +68,17 @@ def _tuple_of(answer: Any) -> tuple[Any, ...]:
     return tuple(answer) if isinstance(answer, tuple) else (answer,)
 
 
-def by_kernel(rule: Rule, asked: Asked, answer: Any, slopes: Any, wanted: list[str]) -> dict[str, Any] | None:
+def by_kernel(query: Query, asked: Asked, answer: Any, slopes: Any, wanted: list[str]) -> dict[str, Any] | None:
     """The same as :func:`pulled` by one kernel, where there is one and nothing is differentiated further."""
-    if rule.on_tensors is None or torch.is_grad_enabled() or _is_transformed() or not _have_memory(slopes):
+    adjoint = query.rule().adjoint
+    if adjoint is None or torch.is_grad_enabled() or _is_transformed() or not _have_memory(slopes):
         return None
-    return rule.on_tensors(asked, answer, slopes, wanted)
+    rows = [asked.tensors[name] for name in query.inputs if name in asked.tensors]
+    given = [*rows, *(out for out in (*answer, *slopes) if out is not None and out.is_floating_point())]
+    if not rows or any(one.dtype != rows[0].dtype or one.device != rows[0].device for one in given):
+        return None
+    found = adjoint(asked, answer, slopes, wanted, TensorArrays(rows[0], _Add.forward))
+    return found and {name: part.reshape(asked.tensors[name].shape) for name, part in found.items()}
 
 
 def _have_memory(slopes: Any) -> bool:
@@ -91,10 +99,6 @@ def pulled(rule: Rule, asked: Asked, answer: Any, slopes: Any, wanted: list[str]
         plain = {name: tensor.detach() for name, tensor in asked.tensors.items()}
         arguments = {name: plain.get(name, untracked(value)) for name, value in asked.arguments.items()}
         asked = asked._replace(tensors=plain, arguments=arguments)
-        if rule.quick is not None:
-            short = rule.quick(LIBRARY, asked, answer, slopes, wanted)
-            if short is not None:
-                return short
     slopes = [torch.zeros_like(out) if slope is None else slope for out, slope in zip(answer, slopes, strict=True)]
     if rule.pull is not None:
         return rule.pull(LIBRARY, asked, answer, slopes)
@@ -163,7 +167,7 @@ def _pulled_back(ctx: Any, slopes: Any) -> list[Any]:
     wanted = [name for name, need in zip(call.names, ctx.needs_input_grad[-count:], strict=True) if need]
     asked = call.asked._replace(tensors=dict(zip(call.names, tensors, strict=True)))
     rule = call.query.rule()
-    found = by_kernel(rule, asked, answer, slopes, wanted)
+    found = by_kernel(call.query, asked, answer, slopes, wanted)
     if found is None:
         found = pulled(rule, asked, [output.detach() for output in answer], slopes, wanted)
     of = zip(call.names, tensors, strict=True)
@@ -323,7 +327,6 @@ LIBRARY = Library(
     kept=_kept,
     wide=lambda tensor: tensor.double(),
     whole=lambda tensor: tensor.long(),
-    rows=lambda condition: condition.nonzero()[:, 0],
     listed=lambda offsets, total: torch.repeat_interleave(offsets.diff(), output_size=total),
     detach=lambda tensor: tensor.detach(),
     on_host=lambda tensor: tensor.detach().cpu().numpy(),

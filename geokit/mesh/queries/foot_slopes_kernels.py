@@ -1,4 +1,4 @@
-"""Derivatives of closest points with respect to the points that were asked; the formulas are those of gradients.py."""
+"""Derivatives of closest points by the points that were asked and by the corners; the formulas are in gradients.py."""
 
 from typing import Any
 
@@ -16,6 +16,89 @@ SHORT = 2.0**-20
 # up to 150 roundings, and this is 4,096.
 ROUNDING = 2.0**-40
 NONE = wp.constant(wp.float64(0.0))
+ONE = wp.constant(wp.float64(1.0))
+
+
+@wp.struct
+class SlopedFaces:
+    """Faces of one mesh or of many; what is said of each mesh has a row for each of many."""
+
+    vertices: wp.array(dtype=wp.vec3d)
+    faces: wp.array(dtype=int)
+    # Where the winding shows outward, see Surface._outward; without rows for distances without signs.
+    outward: wp.array(dtype=int)
+    # First face, and size, of each mesh.
+    begin: wp.array(dtype=int)
+    scale: wp.array(dtype=wp.float64)
+
+
+@wp.struct
+class Corners:
+    """The corners of a triangle, or their slopes."""
+
+    a: wp.vec3d
+    b: wp.vec3d
+    c: wp.vec3d
+
+
+@wp.func
+def mesh_of(owner: wp.array(dtype=int), row: int) -> int:
+    """The mesh that a row asks; ``owner`` has no rows if there is one mesh."""
+    if owner.shape[0] > 0:
+        return owner[row]
+    return 0
+
+
+@wp.func
+def corners_of(mesh: SlopedFaces, face: int) -> Corners:
+    found = Corners()
+    found.a = mesh.vertices[mesh.faces[3 * face]]
+    found.b = mesh.vertices[mesh.faces[3 * face + 1]]
+    found.c = mesh.vertices[mesh.faces[3 * face + 2]]
+    return found
+
+
+@wp.func
+def shared(weights: wp.vec3d, slope: wp.vec3d) -> Corners:
+    """The slopes of corners whose weighted sum has a slope."""
+    found = Corners()
+    found.a = weights[0] * slope
+    found.b = weights[1] * slope
+    found.c = weights[2] * slope
+    return found
+
+
+@wp.func
+def give(
+    mesh: SlopedFaces,
+    face: int,
+    slopes: Corners,
+    row: int,
+    out_corners: wp.array(dtype=wp.vec3d),
+    out_vertex: wp.array(dtype=int),
+):
+    """Write the slopes of a row's corners, and the vertices that these are."""
+    out_corners[3 * row] = slopes.a
+    out_corners[3 * row + 1] = slopes.b
+    out_corners[3 * row + 2] = slopes.c
+    for corner in range(3):
+        vertex = int(0)
+        if face >= 0:
+            vertex = mesh.faces[3 * face + corner]
+        out_vertex[3 * row + corner] = vertex
+
+
+@wp.func
+def give(  # noqa: F811
+    mesh: SlopedFaces,
+    face: int,
+    slopes: Corners,
+    row: int,
+    out_corners: wp.array(dtype=int),
+    out_vertex: wp.array(dtype=int),
+):
+    """Where corners are not wanted: compilers then leave out what computes them."""
+    return
 
 
 @wp.func
@@ -26,18 +109,22 @@ def rounding(p: wp.vec3d, scale: wp.float64) -> wp.float64:
 
 @wp.func
 def over_face(
-    a: wp.vec3d,
-    b: wp.vec3d,
-    c: wp.vec3d,
-    normal: wp.vec3d,
-    area: wp.float64,
-    by_foot: wp.vec3d,
-    by_weights: wp.vec3d,
-) -> wp.vec3d:
-    """Of a foot within a triangle: it moves along the plane."""
-    slope = by_foot - (wp.dot(by_foot, normal) / area) * normal
-    slope += ((by_weights[1] - by_weights[0]) / area) * wp.cross(c - a, normal)
-    return slope + ((by_weights[2] - by_weights[0]) / area) * wp.cross(normal, b - a)
+    on: Corners, p: wp.vec3d, weights: wp.vec3d, normal: wp.vec3d, area: wp.float64, by: wp.vec3d, by_weights: wp.vec3d
+):
+    """Slopes of a point and of the corners, from those of its foot within a triangle and of the foot's weights."""
+    # Rows that give the second and third weight of a point.
+    second = wp.cross(on.c - on.a, normal) / area
+    third = wp.cross(normal, on.b - on.a) / area
+    slope = by - (wp.dot(by, normal) / area) * normal
+    slope += (by_weights[1] - by_weights[0]) * second + (by_weights[2] - by_weights[0]) * third
+    height = (wp.dot(p - on.a, normal) / area) * normal
+    slopes = shared(weights, by - slope)
+    along_second = wp.dot(slope, second)
+    along_third = wp.dot(slope, third)
+    slopes.a -= (along_second + along_third) * height
+    slopes.b += along_second * height
+    slopes.c += along_third * height
+    return slope, slopes
 
 
 @wp.func
@@ -47,61 +134,64 @@ def over_edge(
     end: wp.vec3d,
     distance: wp.float64,
     by_distance: wp.float64,
-    by_foot: wp.vec3d,
+    by: wp.vec3d,
     by_share: wp.float64,
-) -> wp.vec3d:
-    """Of a foot on an edge, along which it moves, or on a vertex, which is an edge without length."""
+):
+    """Slopes of a point, of the begin and of the end, from those of its foot on the edge and of the end's weight.
+
+    A vertex is an edge without length.
+    """
     edge = end - begin
     squared = wp.dot(edge, edge)
     slope = wp.vec3d()
-    foot = begin
+    share = NONE
+    turn = NONE
     if squared > NONE:
-        foot = begin + (wp.dot(p - begin, edge) / squared) * edge
-        slope = ((wp.dot(by_foot, edge) + by_share) / squared) * edge
-    away = p - foot
+        share = wp.dot(p - begin, edge) / squared
+        turn = (wp.dot(by, edge) + by_share) / squared
+        slope = turn * edge
+    away = p - (begin + share * edge)
     length = wp.length(away)
+    straight = wp.vec3d()
     if length > NONE:
         if distance < NONE:
             length = -length
-        slope += (by_distance / length) * away
-    return slope
+        straight = (by_distance / length) * away
+    moved = by - slope - straight
+    return slope + straight, (ONE - share) * moved - turn * away, share * moved + turn * away
 
 
 @wp.func
-def foot_slope(
-    vertices: wp.array(dtype=wp.vec3d),
-    faces: wp.array(dtype=int),
+def foot_slopes(
+    mesh: SlopedFaces,
+    on: Corners,
     scale: wp.float64,
     is_signed: bool,
-    outward: wp.array(dtype=int),
-    triangle: int,
+    face: int,
     p: wp.vec3d,
     weights: wp.vec3d,
     distance: wp.float64,
     by_distance: wp.float64,
     by_foot: wp.vec3d,
     by_weights: wp.vec3d,
-) -> wp.vec3d:
-    """The slope of a point, from those of its answer."""
-    a = vertices[faces[3 * triangle]]
-    b = vertices[faces[3 * triangle + 1]]
-    c = vertices[faces[3 * triangle + 2]]
+):
+    """The slopes of a point and of the corners of its triangle, from those of its answer."""
     has_a = weights[0] > NONE
     has_b = weights[1] > NONE
     has_c = weights[2] > NONE
-    normal = wp.cross(b - a, c - a)
+    normal = wp.cross(on.b - on.a, on.c - on.a)
     area = wp.dot(normal, normal)
-    height = wp.dot(p - a, normal)
+    height = wp.dot(p - on.a, normal)
     is_face = has_a and has_b and has_c and area > NONE
     # Whether the distance goes on along the normal, and on which side of it; see _sides of gradients.py.
     along = is_face
-    side = wp.float64(1.0)
+    side = ONE
     if (height < NONE) != (distance < NONE):
-        side = wp.float64(-1.0)
+        side = -ONE
     if is_signed:
         noise = rounding(p, scale)
         if wp.abs(distance) <= wp.float64(SHORT) * scale + noise:
-            side = wp.float64(outward[triangle])
+            side = wp.float64(mesh.outward[face])
         if wp.abs(distance) <= noise:
             along = True
     else:
@@ -110,73 +200,61 @@ def foot_slope(
         if distance == NONE or height == NONE:
             side = NONE
     slope = wp.vec3d()
+    slopes = Corners()
     by_away = by_distance
     if along:
         by_away = NONE
         if area > NONE:
             slope = (by_distance * side / wp.sqrt(area)) * normal
+            second = wp.dot(wp.cross(on.c - on.a, normal), p - on.a) / area
+            third = wp.dot(wp.cross(normal, on.b - on.a), p - on.a) / area
+            slopes = shared(wp.vec3d(ONE - second - third, second, third), -slope)
     if is_face:
-        return slope + over_face(a, b, c, normal, area, by_foot, by_weights)
+        moved, others = over_face(on, p, weights, normal, area, by_foot, by_weights)
+        slope += moved
+        slopes.a += others.a
+        slopes.b += others.b
+        slopes.c += others.c
+        return slope, slopes
     # From the first corner with weight to the last.
-    begin = c
+    begin = on.c
     by_begin = by_weights[2]
     if has_a:
-        begin = a
+        begin = on.a
         by_begin = by_weights[0]
     elif has_b:
-        begin = b
+        begin = on.b
         by_begin = by_weights[1]
-    end = a
+    end = on.a
     by_end = by_weights[0]
     if has_c:
-        end = c
+        end = on.c
         by_end = by_weights[2]
     elif has_b:
-        end = b
+        end = on.b
         by_end = by_weights[1]
-    return slope + over_edge(p, begin, end, distance, by_away, by_foot, by_end - by_begin)
+    moved, of_begin, of_end = over_edge(p, begin, end, distance, by_away, by_foot, by_end - by_begin)
+    if has_a:
+        slopes.a += of_begin
+    elif has_b:
+        slopes.b += of_begin
+    else:
+        slopes.c += of_begin
+    if has_c:
+        slopes.c += of_end
+    elif has_b:
+        slopes.b += of_end
+    else:
+        slopes.a += of_end
+    return slope + moved, slopes
 
 
 @wp.kernel
 def foot_slopes_kernel(
     first: int,
-    vertices: wp.array(dtype=wp.vec3d),
-    faces: wp.array(dtype=int),
-    scale: wp.float64,
+    mesh: SlopedFaces,
+    owner: wp.array(dtype=int),
     is_signed: bool,
-    outward: wp.array(dtype=int),
-    points: wp.array(dtype=Any),
-    distance: wp.array(dtype=Any),
-    triangle_id: wp.array(dtype=int),
-    barycentric: wp.array(dtype=Any),
-    by_distance: wp.array(dtype=Any),
-    by_foot: wp.array(dtype=Any),
-    by_weights: wp.array(dtype=Any),
-    out_slopes: wp.array(dtype=Any),
-):
-    """Add to the slopes of the points what those of their answers come to; a miss adds nothing."""
-    i = first + wp.tid()
-    triangle = triangle_id[i]
-    if triangle < 0:
-        return
-    p = wp.vec3d(points[i])
-    weights = wp.vec3d(barycentric[i])
-    d = wp.float64(distance[i])
-    slope_d = wp.float64(by_distance[i])
-    slope_f = wp.vec3d(by_foot[i])
-    slope_w = wp.vec3d(by_weights[i])
-    slope = foot_slope(vertices, faces, scale, is_signed, outward, triangle, p, weights, d, slope_d, slope_f, slope_w)
-    out_slopes[i] = out_slopes[i] + type(points[i])(slope)
-
-
-@wp.kernel
-def distance_slopes_kernel(
-    first: int,
-    vertices: wp.array(dtype=wp.vec3d),
-    faces: wp.array(dtype=int),
-    scale: wp.float64,
-    is_signed: bool,
-    outward: wp.array(dtype=int),
     shortest: wp.float64,
     points: wp.array(dtype=Any),
     distance: wp.array(dtype=Any),
@@ -184,42 +262,61 @@ def distance_slopes_kernel(
     triangle_id: wp.array(dtype=int),
     barycentric: wp.array(dtype=Any),
     by_distance: wp.array(dtype=Any),
-    out_slopes: wp.array(dtype=Any),
+    by_foot: wp.array(dtype=Any),
+    by_weights: wp.array(dtype=Any),
+    out_points: wp.array(dtype=Any),
+    out_corners: wp.array(dtype=Any),
+    out_vertex: wp.array(dtype=int),
 ):
-    """The slopes of the points from those of their distances alone; 0 for a miss.
+    """The slopes of points and of the corners that they found, from those of their answers; 0 for a miss.
 
-    A distance above ``shortest`` has the direction between the point and its foot, without a look at the triangle.
+    Slopes of answers that are 0, and outputs that are not wanted, have no rows. Where distances alone have slopes, one
+    above ``shortest`` shares of the mesh's size has the direction between the point and its foot.
     """
     i = first + wp.tid()
     slope = wp.vec3d()
-    triangle = triangle_id[i]
-    if triangle >= 0:
+    slopes = Corners()
+    face = triangle_id[i]
+    if face >= 0:
+        number = mesh_of(owner, i)
+        scale = mesh.scale[number]
+        face += mesh.begin[number]
         p = wp.vec3d(points[i])
+        weights = wp.vec3d(barycentric[i])
         d = wp.float64(distance[i])
-        slope_d = wp.float64(by_distance[i])
-        if wp.abs(d) > shortest + rounding(p, scale):
+        slope_d = NONE
+        slope_f = wp.vec3d()
+        slope_w = wp.vec3d()
+        if by_distance.shape[0] > 0:
+            slope_d = wp.float64(by_distance[i])
+        if by_foot.shape[0] > 0:
+            slope_f = wp.vec3d(by_foot[i])
+        if by_weights.shape[0] > 0:
+            slope_w = wp.vec3d(by_weights[i])
+        is_alone = by_foot.shape[0] == 0 and by_weights.shape[0] == 0
+        if is_alone and wp.abs(d) > shortest * scale + rounding(p, scale):
             slope = (slope_d / d) * (p - wp.vec3d(feet[i]))
+            slopes = shared(weights, -slope)
         else:
-            weights = wp.vec3d(barycentric[i])
-            none = wp.vec3d()
-            slope = foot_slope(vertices, faces, scale, is_signed, outward, triangle, p, weights, d, slope_d, none, none)
-    out_slopes[i] = type(points[i])(slope)
+            on = corners_of(mesh, face)
+            slope, slopes = foot_slopes(mesh, on, scale, is_signed, face, p, weights, d, slope_d, slope_f, slope_w)
+    if out_points.shape[0] > 0:
+        out_points[i] = type(points[i])(slope)
+    give(mesh, face, slopes, i, out_corners, out_vertex)
 
 
-_PRECISIONS = ((wp.float32, wp.vec3f), (wp.float64, wp.vec3d))
+def overloads(kernel: Any, vectors: tuple[str, ...], numbers: tuple[str, ...]) -> dict[tuple[bool, Any], Any]:
+    """Overloads of a kernel by whether corners are wanted, and by the type of the coordinates."""
+    found = {}
+    for number, vector in ((wp.float32, wp.vec3f), (wp.float64, wp.vec3d)):
+        given = {name: wp.array(dtype=vector) for name in vectors} | {name: wp.array(dtype=number) for name in numbers}
+        for is_cornered, corners in ((False, int), (True, wp.vec3d)):
+            found[is_cornered, number] = wp.overload(kernel, {**given, "out_corners": wp.array(dtype=corners)})
+    return found
 
 
-def _overloads(kernel: Any, vectors: tuple[str, ...]) -> dict[Any, Any]:
-    """Overloads of a kernel by the type of the points' coordinates."""
-    return {
-        number: wp.overload(
-            kernel,
-            {name: wp.array(dtype=vector) for name in vectors}
-            | {name: wp.array(dtype=number) for name in ("distance", "by_distance")},
-        )
-        for number, vector in _PRECISIONS
-    }
-
-
-FOOT_SLOPES = _overloads(foot_slopes_kernel, ("points", "barycentric", "by_foot", "by_weights", "out_slopes"))
-DISTANCE_SLOPES = _overloads(distance_slopes_kernel, ("points", "feet", "barycentric", "out_slopes"))
+FOOT_SLOPES = overloads(
+    foot_slopes_kernel,
+    ("points", "feet", "barycentric", "by_foot", "by_weights", "out_points"),
+    ("distance", "by_distance"),
+)

@@ -12,13 +12,15 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import warp as wp
 from numpy.typing import NDArray
 
-from geokit.core import launcher
 from geokit.core.gradients.library import Library, cross, dot, length
 from geokit.core.gradients.rules import Asked, Deferred, Rule
 from geokit.core.interop import user_arrays
-from geokit.mesh.queries.foot_slopes_kernels import DISTANCE_SLOPES, FOOT_SLOPES, ROUNDING, SHORT
+from geokit.core.interop.arrays import lead_of
+from geokit.mesh.queries.foot_slopes_kernels import FOOT_SLOPES, ROUNDING, SHORT, SlopedFaces
+from geokit.mesh.queries.hit_slopes_kernels import HIT_SLOPES
 
 __all__ = [
     "CLOSEST_POINT",
@@ -32,6 +34,8 @@ __all__ = [
 
 # ROUNDING for what is computed in float32, as jax may be set to: 64 roundings.
 ROUNDING_SINGLE = 2.0**-17
+# Rows whose corners can be sorted: twice as many places as there are corners, numbered with 31 bits.
+MOST_CORNERED = 2**31 // 6 - 1
 
 
 def corners_of(library: Library, asked: Asked, triangle_id: Any) -> tuple[Any, Any, Any, Any]:
@@ -160,169 +164,86 @@ def _signed_distance(library: Library, asked: Asked, answer: Any) -> tuple[Any, 
     return far, foot, None, shares
 
 
-def _near_slopes(
-    library: Library, asked: Asked, point: Any, triangle_id: Any, weights: Any, distance: Any, *, bands: Any
-) -> tuple[Any, Any]:
-    """The derivative of distances by the points, and the weights of the feet; those of :func:`_closest`."""
-    wide = {name: library.wide(library.detach(tensor)) for name, tensor in asked.tensors.items()}
-    asked = asked._replace(tensors=wide)
-    a, b, c, _ = corners_of(library, asked, triangle_id)
-    foot, shares, height, is_face = _foot(library, point, (a, b, c), weights)
-    along, side = _sides(library, asked, triangle_id, distance, height, is_face, bands)
-    outside = library.where(distance < 0.0, -1.0, 1.0)
-    normal = cross(library, b - a, c - a)
-    over_face = _ratio(library, side, length(library, normal))[:, None] * normal
-    over_edge = _ratio(library, outside, length(library, point - foot))[:, None] * (point - foot)
-    return library.where(along[:, None], over_face, over_edge), shares
+def _foot_adjoint(place: int) -> Any:
+    """The derivatives by points and vertices in one kernel; ``place`` is that of the distance, which is signed at 0."""
 
-
-def _quick_distance(place: int) -> Any:
-    """The derivative of distances alone: the direction from the surface; ``place`` is that of the distance."""
-
-    def quick(library: Library, asked: Asked, answer: Any, slopes: Any, wanted: list[str]) -> Any:
-        # Of the distance alone.
-        if [slope is None for slope in slopes] != [number != place for number in range(4)]:
-            return None
-        (triangle_id, weights), distance, feet = answer[2:], answer[place], answer[1 - place]
-        if distance.dtype != weights.dtype or "float64" not in str(distance.dtype):
-            return None
-        point = library.detach(asked.tensors["points"])
-        found = triangle_id >= 0
-        away = library.where(found, slopes[place] / distance, 0.0)[:, None] * library.where(
-            found[:, None], point - feet, 0.0
-        )
-        weights = library.where(found[:, None], weights, 0.0)
-        bands = _bands(library, point, asked.arguments["self"].scale)
-        short = library.rows(found & (abs(distance) <= bands[1]))
-        if len(short):
-            near = (part[short] for part in (point, triangle_id, weights, distance))
-            near_bands = tuple(band[short] for band in bands) if place == 0 else None
-            direction, weights[short] = _near_slopes(library, asked, *near, bands=near_bands)
-            away[short] = slopes[place][short][:, None] * direction
-        result = {"points": away}
-        if "vertices" in wanted:
-            faces = _faces(library, asked, away)[library.where(found, triangle_id, 0)]
-            shares = weights[:, :, None] * -away[:, None]
-            result["vertices"] = library.add(shares, faces, len(asked.tensors["vertices"]))
-        return result
-
-    return quick
-
-
-def _on_device(place: int) -> Any:
-    """The derivatives by points where they are; ``place`` is that of the distance."""
-
-    def on_device(asked: Asked, answer: Any, slopes: Any, totals: dict[str, Any]) -> bool:
-        surface, points = asked.arguments["self"], asked.tensors["points"]
-        if list(totals) != ["points"] or surface._device != points.device:
-            return False
-        triangle_id, weights = answer[2:]
-        inputs = [*_arrays_of(surface, place), points, answer[place], triangle_id, weights]
+    def adjoint(asked: Asked, answer: Any, slopes: Any, wanted: list[str], arrays: Any) -> dict[str, Any] | None:
+        # Feet of float32 are too near to their points to tell the direction between them.
+        shortest = math.inf if arrays.number is wp.float32 else SHORT
+        given = [asked.tensors["points"], answer[place], answer[1 - place], *answer[2:]]
         by = [slopes[place], slopes[1 - place], slopes[3]]
-        kernel: Any = FOOT_SLOPES[answer[place].dtype]
-        launcher.launch(kernel, len(points), [*inputs, *by], [totals["points"]], points.device)
-        return True
+        inputs = [
+            *(arrays.given(rows, width) for rows, width in zip(given, (3, 1, 3, 1, 3), strict=True)),
+            *(arrays.given(slope, width) for slope, width in zip(by, (1, 3, 3), strict=True)),
+        ]
+        options = [place == 0, wp.float64(shortest)]
+        return _pulled(asked, FOOT_SLOPES, place == 0, [*options, *inputs], ("points",), wanted, arrays)
 
-    return on_device
+    return adjoint
 
 
-def _on_tensors(place: int) -> Any:
-    """The derivatives by points in one kernel; ``place`` is that of the distance."""
+def _hit_adjoint(asked: Asked, answer: Any, slopes: Any, wanted: list[str], arrays: Any) -> dict[str, Any] | None:
+    """The derivatives by rays and vertices in one kernel."""
+    given = [asked.tensors["directions"], *answer, slopes[0], slopes[2]]
+    inputs = [arrays.given(rows, width) for rows, width in zip(given, (3, 1, 1, 3, 1, 3), strict=True)]
+    return _pulled(asked, HIT_SLOPES, False, inputs, ("origins", "directions"), wanted, arrays)
 
-    def on_tensors(asked: Asked, answer: Any, slopes: Any, wanted: list[str]) -> Any:
-        surface, points = asked.arguments["self"], asked.tensors["points"]
-        alone = [slope is None for slope in slopes] == [number != place for number in range(4)]
-        beside = _are_beside(surface, [points, answer[place]], wanted, ("points",))
-        if not beside or (alone and _is_quick_in_torch(points)):
-            return None
-        import warp as wp
 
-        from geokit.core.gradients.tensor_rows import TensorRows, launch, number_of
+def _pulled(
+    asked: Asked, kernels: Any, signed: bool, inputs: list[Any], rows: tuple[str, ...], wanted: list[str], arrays: Any
+) -> dict[str, Any] | None:
+    """Launch a kernel of :mod:`foot_slopes_kernels`: derivatives by ``rows`` and by the vertices of the corners."""
+    surface, first = asked.arguments["self"], asked.tensors[rows[0]]
+    if arrays.device != surface._device:
+        return None
+    offsets, is_cornered = asked.arguments.get("offsets", ()), "vertices" in wanted
+    count = math.prod(lead_of(first))
+    if is_cornered and count > MOST_CORNERED:
+        return None
+    corners = (3 * count, 3, wp.float64) if is_cornered else (0, 1, wp.int32)
+    out = [*(arrays.made(count if name in wanted else 0, 3) for name in rows), arrays.made(*corners)]
+    out.append(arrays.made(corners[0], 1, wp.int32))
+    mesh, owner = _sloped_faces(surface, signed), _owners(surface, offsets, lead_of(first), arrays.device)
+    arrays.launch(kernels[is_cornered, arrays.number], count, [mesh, owner, *inputs], out)
+    found = dict(zip(rows, out, strict=False))
+    if is_cornered:
+        found["vertices"] = arrays.added(*out[-2:], len(asked.tensors["vertices"]))
+    return {name: found[name] for name in wanted}
 
-        (triangle_id, weights), distance, feet = answer[2:], answer[place], answer[1 - place]
-        number = number_of(points)
-        if alone:
-            # Feet of float32 are too near to their points to tell the direction between them.
-            short = math.inf if points.element_size() == 4 else SHORT * surface.scale
-            out, kernel, options = points.new_empty(points.shape), DISTANCE_SLOPES[number], [wp.float64(short)]
-            given = [points, distance, feet, triangle_id, weights, slopes[place]]
+
+def _sloped_faces(surface: Any, signed: bool) -> Any:
+    """What the kernels take of a surface, or of many; without signs the outward sides are not read."""
+
+    def make() -> Any:
+        def there(values: Any, kind: Any) -> Any:
+            return wp.array(values, dtype=kind, device=surface._device)
+
+        found: Any = SlopedFaces()
+        if hasattr(surface, "_packed"):
+            vertices, faces = surface._packed
+            found.vertices, found.faces = there(vertices, wp.vec3d), there(faces.ravel(), wp.int32)
+            begin, scale, outward = surface._begin[:-1], surface._scales, signed and surface._signs.outward
         else:
-            out, kernel, options = points.new_zeros(points.shape), FOOT_SLOPES[number], []
-            none = points.new_zeros(3)
-            by = slopes[place], slopes[1 - place], slopes[3]
-            whole = [
-                (none[0] if like.ndim == 1 else none).expand(like.shape) if slope is None else slope
-                for slope, like in zip(by, (distance, points, points), strict=True)
-            ]
-            given = [points, distance, triangle_id, weights, *whole]
-        inputs = [*_arrays_of(surface, place), *options, *map(TensorRows, given)]
-        launch(kernel, len(points), inputs, [TensorRows(out)], surface._device)
-        return {"points": out}
+            found.vertices, found.faces = surface._vertices, surface._faces
+            begin, scale, outward = [0], [surface.scale], signed and surface._outward
+        found.outward = there(outward if signed else [], wp.int32)
+        found.begin, found.scale = there(begin, wp.int32), there(scale, wp.float64)
+        return found
 
-    return on_tensors
+    return surface._cache.find(("sloped faces", signed), make)
 
 
-def _is_quick_in_torch(rows: Any) -> bool:
-    """Whether the few passes of :func:`_quick_distance` take no longer than a launch: for float64 rows on a CPU."""
-    return bool(rows.is_cpu) and rows.element_size() == 8
+def _owners(surface: Any, offsets: Any, lead: tuple[int, ...], device: Any) -> Any:
+    """The mesh of each row on the device; without rows if there is one mesh."""
+    if not hasattr(surface, "_packed"):
+        return surface._cache.find("no owners", lambda: wp.empty(0, dtype=wp.int32, device=device))
+    return wp.array(_owner(surface, offsets, lead), dtype=wp.int32, device=device)
 
 
-def _are_beside(surface: Any, tensors: list[Any], wanted: list[str], known: tuple[str, ...]) -> bool:
-    """Whether tensors lie where the surface is, are of one precision, and a kernel knows the derivatives wanted."""
-    if not set(known).issuperset(wanted) or any(tensor.dtype != tensors[0].dtype for tensor in tensors):
-        return False
-    from geokit.core.gradients.tensor_rows import device_of
-
-    return bool(surface._device == device_of(tensors[0]))
-
-
-def _arrays_of(surface: Any, place: int) -> list[Any]:
-    """What the kernels of closest points take of a surface; ``place`` is that of the distance, which is signed at 0."""
-    import warp as wp
-
-    # Without signs the outward sides are not read.
-    sides = surface._outward_sides if place == 0 else surface._faces
-    return [surface._vertices, surface._faces, wp.float64(surface.scale), place == 0, sides]
-
-
-def _quick_hit(library: Library, asked: Asked, answer: Any, slopes: Any, wanted: list[str]) -> Any:
-    """The derivative of t alone: a hit stays on the plane of its triangle."""
-    if slopes[0] is None or slopes[2] is not None or "float64" not in str(answer[0].dtype):
-        return None
-    t, triangle_id, weights = answer
-    a, b, c, found = corners_of(library, asked, triangle_id)
-    normal = cross(library, b - a, c - a)
-    steep = dot(library.detach(asked.tensors["directions"]), normal)
-    some = found & (steep != 0.0)
-    back = library.where(some, slopes[0] / library.where(some, steep, 1.0), 0.0)[:, None] * normal
-    result = {"origins": -back}
-    if "directions" in wanted:
-        result["directions"] = library.where(some, t, 0.0)[:, None] * -back
-    if "vertices" in wanted:
-        faces = _faces(library, asked, back)[library.where(found, triangle_id, 0)]
-        shares = library.where(some[:, None], weights, 0.0)[:, :, None] * back[:, None]
-        result["vertices"] = library.add(shares, faces, len(asked.tensors["vertices"]))
-    return result
-
-
-def _hit_on_tensors(asked: Asked, answer: Any, slopes: Any, wanted: list[str]) -> Any:
-    """The derivatives of t by rays in one kernel."""
-    surface, directions = asked.arguments["self"], asked.tensors.get("directions")
-    if slopes[0] is None or slopes[2] is not None or directions is None:
-        return None
-    given = [directions, asked.tensors.get("origins", directions), answer[0]]
-    if not _are_beside(surface, given, wanted, ("origins", "directions")):
-        return None
-    from geokit.core.gradients.tensor_rows import TensorRows, launch, number_of
-    from geokit.mesh.queries.hit_slopes_kernels import HIT_SLOPES
-
-    t, triangle_id, _ = answer
-    count = len(directions)
-    out = {name: directions.new_empty((count if name in wanted else 0, 3)) for name in ("origins", "directions")}
-    inputs = [surface._vertices, surface._faces, *map(TensorRows, (directions, t, triangle_id, slopes[0]))]
-    outputs = list(map(TensorRows, out.values()))
-    launch(HIT_SLOPES[number_of(directions)], count, inputs, outputs, surface._device)
-    return {name: out[name] for name in wanted}
+def _owner(surfaces: Any, offsets: Any, lead: tuple[int, ...]) -> NDArray[np.int64]:
+    """The mesh of each row that many surfaces are asked."""
+    bounds = np.arange(len(surfaces) + 1) * lead[-1] if offsets is None else user_arrays.read_numbers(offsets, "")
+    return np.repeat(np.arange(len(surfaces)), np.diff(np.asarray(bounds, np.int64)))
 
 
 def _raycast(library: Library, asked: Asked, answer: Any) -> tuple[Any, ...]:
@@ -358,24 +279,19 @@ def _shapes_of_points(*outputs: tuple[int, str]) -> Any:
 CLOSEST_POINT = Rule(
     (True, True, False, True),
     _closest_point,
-    quick=_quick_distance(1),
-    on_device=_on_device(1),
-    on_tensors=_on_tensors(1),
+    adjoint=_foot_adjoint(1),
     shapes=_shapes_of_points((3, "float"), (1, "float"), (1, "int32"), (3, "float")),
 )
 SIGNED_DISTANCE = Rule(
     (True, True, False, True),
     _signed_distance,
-    quick=_quick_distance(0),
-    on_device=_on_device(0),
-    on_tensors=_on_tensors(0),
+    adjoint=_foot_adjoint(0),
     shapes=_shapes_of_points((1, "float"), (3, "float"), (1, "int32"), (3, "float")),
 )
 RAYCAST = Rule(
     (True, False, True),
     _raycast,
-    quick=_quick_hit,
-    on_tensors=_hit_on_tensors,
+    adjoint=_hit_adjoint,
     shapes=_shapes_of_points((1, "float"), (1, "int32"), (3, "float")),
 )
 
@@ -387,9 +303,7 @@ def _of_many(rule: Rule) -> Rule:
         surfaces, offsets = asked.arguments["self"], asked.arguments["offsets"]
         name = "points" if "points" in asked.arguments else "origins"
         like, lead = asked.tensors[name], _lead(asked, name)
-        bounds = np.arange(len(surfaces) + 1) * lead[-1] if offsets is None else user_arrays.read_numbers(offsets, "")
-        where: NDArray[np.int64] = np.asarray(bounds, np.int64)
-        owner = np.repeat(np.arange(len(surfaces)), where[1:] - where[:-1])
+        owner = _owner(surfaces, offsets, lead)
         vertices, faces = surfaces._packed
         whole = SimpleNamespace(
             mesh=SimpleNamespace(vertices=vertices, faces=faces),
@@ -411,14 +325,7 @@ def _of_many(rule: Rule) -> Rule:
             None if out is None else out.reshape(part.shape) for out, part in zip(outputs, answer, strict=True)
         )
 
-    def quick(library: Library, asked: Asked, answer: Any, slopes: Any, wanted: list[str]) -> Any:
-        of_one: Any = rule.quick
-        flat, rows = packed(library, asked, answer)
-        steep = [None if slope is None else slope.reshape(part.shape) for slope, part in zip(slopes, rows, strict=True)]
-        found = of_one(library, flat, rows, steep, wanted)
-        return found and {name: part.reshape(asked.tensors[name].shape) for name, part in found.items()}
-
-    return rule._replace(build=build, quick=quick, on_device=None, on_tensors=None)
+    return rule._replace(build=build)
 
 
 CLOSEST_POINT_OF_MANY = _of_many(CLOSEST_POINT)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -44,6 +43,10 @@ def _kernel(asked: Asked) -> str:
     return kernel
 
 
+def _check(asked: Asked) -> None:
+    _kernel(asked)
+
+
 def _density(library: Library, asked: Asked, answer: Any) -> tuple[Any, ...]:
     kernel, radius = _kernel(asked), float(asked.arguments["radius"])
     points = asked.tensors["points"]
@@ -64,13 +67,10 @@ def _slope(kernel: str, q: NDArray[np.float64]) -> NDArray[np.float64]:
     return -945.0 / (32.0 * math.pi) * q * (1.0 - q * q) ** 2
 
 
-def _on_host(asked: Asked) -> Callable[[Asked, Any], dict[str, Any]]:
+def _adjoint(asked: Asked, answer: Any, slopes: Any, wanted: list[str], arrays: Any) -> dict[str, Any] | None:
     """First derivatives with NumPy, for jax, to which the number of pairs is not known before."""
-    _kernel(asked)  # refused here: errors of a callback have another type
-    return _pulled_on_host
-
-
-def _pulled_on_host(asked: Asked, slopes: Any) -> dict[str, Any]:
+    if not isinstance(slopes[0], np.ndarray):
+        return None
     kernel, radius = _kernel(asked), float(asked.arguments["radius"])
     points = asked.tensors["points"].astype(np.float64)
     queries = asked.tensors.get("queries", points).astype(np.float64)
@@ -96,4 +96,4 @@ def _shapes(asked: Asked) -> list[tuple[tuple[int, ...], str]]:
     return [((asked.tensors.get("queries", asked.tensors["points"]).shape[0],), "float")]
 
 
-DENSITY = Rule((True,), _density, prepare=_pairs, on_host=_on_host, shapes=_shapes)
+DENSITY = Rule((True,), _density, prepare=_pairs, adjoint=_adjoint, is_traced=False, check=_check, shapes=_shapes)

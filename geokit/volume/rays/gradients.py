@@ -5,7 +5,6 @@ A second walk along the ray has them in closed form: see integrate_slopes.inl.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -151,18 +150,18 @@ def _pull(library: Library, asked: Asked, answer: Any, slopes: Any) -> dict[str,
     return {name: library.once(part, message, tensors) for name, part in found.items()}
 
 
-def _on_host(asked: Asked) -> Callable[[Asked, Any], dict[str, Any]]:
-    return _pulled_on_host
-
-
-def _pulled_on_host(asked: Asked, slopes: Any) -> dict[str, Any]:
+def _adjoint(asked: Asked, answer: Any, slopes: Any, wanted: list[str], arrays: Any) -> dict[str, Any] | None:
+    if not isinstance(answer[0], np.ndarray):
+        return None
     walk = _Walk(asked, *(asked.tensors[name].astype(np.float64) for name in ("origins", "directions")))
     transmittance, emission = walk.answer()
-    return walk.derivatives(np.stack([slopes[0] * transmittance, slopes[1] * float(walk.emits), emission], axis=-1))
+    by_transmittance, by_emission = (np.zeros(len(emission)) if slope is None else slope for slope in slopes)
+    rows = [by_transmittance * transmittance, by_emission * float(walk.emits), emission]
+    return walk.derivatives(np.stack(rows, axis=-1))
 
 
 def _shapes(asked: Asked) -> list[tuple[tuple[int, ...], str]]:
     return [((asked.tensors["origins"].shape[0],), "float")] * 2
 
 
-INTEGRATE = Rule((True, True), pull=_pull, on_host=_on_host, shapes=_shapes)
+INTEGRATE = Rule((True, True), pull=_pull, adjoint=_adjoint, is_traced=False, shapes=_shapes)

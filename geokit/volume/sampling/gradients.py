@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from geokit.core import launcher
 from geokit.core.gradients.library import Library, dot
-from geokit.core.gradients.rules import Asked, Rule, untracked
-from geokit.core.interop.arrays import reinterpreted
+from geokit.core.gradients.rules import Asked, Rule, is_torch_tensor, untracked
 from geokit.errors import InputError
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.nodes import set_bits
@@ -136,26 +135,6 @@ def _pull_sample(library: Library, asked: Asked, answer: Any, slopes: Any) -> di
     return found
 
 
-def _sample_on_device(asked: Asked, answer: Any, slopes: Any, totals: dict[str, Any]) -> bool:
-    """The derivatives by points where they are."""
-    import warp as wp
-
-    points, (by_sample,) = asked.tensors["points"], slopes
-    if list(totals) != ["points"]:
-        return False
-    from geokit.volume.sampling.sample_slopes_kernels import SAMPLE_SLOPES
-
-    options = {name: asked.arguments[name] for name in ("space", "channel", "device")}
-    along = asked.arguments["volume"].gradient(points, order=_order(asked), **options)
-    number = wp.float32 if points.dtype == wp.vec3f else wp.float64
-    components = by_sample.size * (3 if by_sample.dtype == points.dtype else 1) // len(points)
-    entries = reinterpreted(by_sample, number, (components * len(points),))
-    vectors = reinterpreted(along, points.dtype, (components * len(points),))
-    inputs = [components, entries, vectors]
-    launcher.launch(SAMPLE_SLOPES[number], len(points), inputs, [totals["points"]], points.device)
-    return True
-
-
 def _is_quick_alone(points: Any) -> bool:
     """Whether samples alone are clearly faster: on a CPU, where a gradient costs as much as a sample."""
     return bool(points.is_cpu)
@@ -175,30 +154,45 @@ def _sample_at_once(asked: Asked) -> Any:
     return found and ((found[0],), found[1])
 
 
-def _sample_on_tensors(asked: Asked, answer: Any, slopes: Any, wanted: list[str]) -> Any:
-    """The derivatives of samples of scalar grids by points, which the query itself has checked."""
-    volume, space, points, (slope,) = (
-        asked.arguments["volume"],
-        asked.arguments["space"],
-        asked.tensors["points"],
-        slopes,
-    )
+def _sample_adjoint(asked: Asked, answer: Any, slopes: Any, wanted: list[str], arrays: Any) -> dict[str, Any] | None:
+    """The derivatives of samples by points where they are."""
+    points, (slope,) = asked.tensors["points"], slopes
+    if wanted != ["points"] or slope is None or isinstance(points, np.ndarray):
+        return None
+    if is_torch_tensor(points):
+        along = _slopes_of_tensors(asked, arrays)
+    else:
+        options = {name: asked.arguments[name] for name in ("space", "channel", "device")}
+        along = asked.arguments["volume"].gradient(points, order=_order(asked), **options)
+    if along is None:
+        return None
+    from geokit.volume.sampling.sample_slopes_kernels import SAMPLE_SLOPES
+
+    count, out = len(points), arrays.made(len(points), 3)
+    by, vectors = arrays.given(slope), arrays.given(along, 3)
+    arrays.launch(SAMPLE_SLOPES[arrays.number], count, [len(by) // count, by, vectors], [out])
+    return {"points": out}
+
+
+def _slopes_of_tensors(asked: Asked, arrays: Any) -> Any:
+    """Gradients at tensors on a GPU, of scalar grids, which the query itself has checked; None for others."""
+    volume, space, points = (asked.arguments["volume"], asked.arguments["space"], asked.tensors["points"])
     is_scalar = asked.arguments["channel"] is None and COMPONENTS.get(volume.info.grid_type) == 1
-    if wanted != ["points"] or _is_quick_alone(points) or not is_scalar:
+    order, device = _order(asked), launcher.resolve_device(asked.arguments["device"])
+    if _is_quick_alone(points) or not is_scalar or device != arrays.device:
+        return None
+    if order == 1 and made_table(volume, device) is not None:
         return None
     import warp as wp
 
-    from geokit.core.gradients.tensor_rows import TensorRows, device_of, launch
+    from geokit.core.gradients.tensor_rows import TensorRows, launch
 
-    order, device = _order(asked), launcher.resolve_device(asked.arguments["device"])
-    if device != device_of(points) or (order == 1 and made_table(volume, device) is not None):
-        return None
     rows = points.double()
     along = rows.new_empty((len(rows), 1, 3))
     kernel, _ = query_kernel("gradient", order, 1, False)
     inputs = [wp.uint64(volume.id(device)), TensorRows(rows), *world_to_index(volume, space), wp.float64(0.0)]
     launch(kernel, len(rows), inputs, [wp.from_torch(along)], device)
-    return {"points": slope[:, None] * along[:, 0].to(points.dtype)}
+    return along.to(points.dtype)
 
 
 def _pull_gradient(library: Library, asked: Asked, answer: Any, slopes: Any) -> dict[str, Any]:
@@ -284,8 +278,7 @@ def _shapes(*columns: tuple[int, ...], name: str = "points", of: bool = False) -
 SAMPLE = Rule(
     (True,),
     pull=_pull_sample,
-    on_device=_sample_on_device,
-    on_tensors=_sample_on_tensors,
+    adjoint=_sample_adjoint,
     at_once=_sample_at_once,
     check=_check_sample,
     shapes=_shapes((), of=True),

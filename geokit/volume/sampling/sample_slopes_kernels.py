@@ -18,13 +18,12 @@ def sample_slopes_kernel(
     gradient: wp.array(dtype=Any),
     out_slopes: wp.array(dtype=Any),
 ):
-    """Add to the slopes of the points those of their samples, which have some components each, times the gradients."""
+    """The slopes of the points: those of their samples, which have some components each, times the gradients."""
     i = first + wp.tid()
-    # Summed before it is added: so a second pass adds the same bits.
     total = type(out_slopes[i])()
     for k in range(components):
         total += by_sample[components * i + k] * gradient[components * i + k]
-    out_slopes[i] = out_slopes[i] + total
+    out_slopes[i] = total
 
 
 # By the type of the points' coordinates.

@@ -1,0 +1,50 @@
+"""Sums of the vectors of each index, and additions to gradients."""
+
+from typing import Any
+
+# mypy: ignore-errors
+# Annotations of kernels are warp's, not Python's.
+import warp as wp
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.kernel
+def sum_rows_kernel(
+    first: int,
+    rows_count: int,
+    keys: wp.array(dtype=int),
+    order: wp.array(dtype=int),
+    rows: wp.array(dtype=wp.vec3d),
+    out_total: wp.array(dtype=wp.vec3d),
+):
+    """Add the rows of a key one after the other; ``order`` has them by their ascending ``keys``."""
+    key = first + wp.tid()
+    low = int(0)
+    high = rows_count
+    while low < high:
+        middle = (low + high) // 2
+        if keys[middle] < key:
+            low = middle + 1
+        else:
+            high = middle
+    total = wp.vec3d()
+    while low < rows_count and keys[low] == key:
+        total += rows[order[low]]
+        low += 1
+    out_total[key] = total
+
+
+@wp.kernel
+def add_kernel(first: int, part: wp.array(dtype=Any), out_total: wp.array(dtype=Any)):
+    """Add numbers to others of either precision, in float64."""
+    i = first + wp.tid()
+    out_total[i] = type(out_total[i])(wp.float64(out_total[i]) + wp.float64(part[i]))
+
+
+# By the types of what is added and of the total.
+ADD = {
+    (part, total): wp.overload(add_kernel, {"part": wp.array(dtype=part), "out_total": wp.array(dtype=total)})
+    for part in (wp.float32, wp.float64)
+    for total in (wp.float32, wp.float64)
+}
