@@ -70,7 +70,7 @@ def main() -> None:
     found = surface.signed_distance(cloud.points)
     normals = face_normals(mesh)[found.triangle_id]
     print(f"{mesh.name}: {len(mesh.faces)} faces, signs by {surface.sign_method}, on {surface.device}")
-    report(found.distance, tolerance)
+    report(np.asarray(found.distance), tolerance)
     if cloud.data.get("normals", np.empty(0)).shape == normals.shape:
         turned = np.einsum("ij,ij->i", cloud.data["normals"], normals)
         print(f"{'normals within 30 deg':24}{np.mean(turned > np.cos(np.radians(30.0))):10.1%}")

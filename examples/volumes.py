@@ -70,7 +70,7 @@ def main() -> None:
     origins, directions = picture_rays(smoke.info.world_bounds, arguments.pixels)
     deep = 4.0 / float(np.ptp(smoke.info.world_bounds, axis=0).max())
     light = smoke.integrate(origins, directions, extinction=deep, emission=smoke)
-    pictures["transmittance"], pictures["emission"] = light.transmittance, light.emission
+    pictures["transmittance"], pictures["emission"] = map(np.asarray, light)
 
     # Back to a mesh, and to a file with a tolerance of a hundredth of a voxel.
     back = gk.mesh.from_volume(cut)

@@ -65,7 +65,7 @@ def main() -> None:
 
     def cast() -> torch.Tensor:
         rotation, origin = pose()
-        return surface.raycast(origin.expand(len(rays), 3), rays @ rotation.T).t
+        return torch.as_tensor(surface.raycast(origin.expand(len(rays), 3), rays @ rotation.T).t)
 
     def errors() -> str:
         rotation, origin = pose()

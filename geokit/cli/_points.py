@@ -100,7 +100,7 @@ def _joining_radius(cloud: PointCloud, device: Any) -> float:
     distance = np.zeros(1)
     if len(cloud) > 1:
         nearest = NeighborGrid(cloud, device=device).knn(cloud, min(NEIGHBORS, len(cloud)))
-        distance = nearest.distance[:, -1]
+        distance = np.asarray(nearest.distance[:, -1])
     radius = SPREAD * float(np.median(distance[distance > 0.0])) if (distance > 0.0).any() else 0.0
     if radius == 0.0:
         raise InputError("--radius: the points have no distances from which to choose it; give one")

@@ -65,9 +65,7 @@ class Storage:
         """Entries of the summary: the stored types and the largest error."""
         if self.quantization is None and self.tolerance is None:
             return {}
-        from geokit.volume.nanovdb.provenance import ACHIEVED_ERROR
-
         return {
             "types": ", ".join(volume.info.grid_type for volume in volumes),
-            "achieved_error": max(float(volume.info.metadata.get(ACHIEVED_ERROR, 0.0)) for volume in volumes),
+            "achieved_error": max(volume.info.achieved_error or 0.0 for volume in volumes),
         }

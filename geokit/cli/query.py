@@ -245,7 +245,7 @@ def neighbors(
     started = time.perf_counter()
     with step(f"querying {cloud}", quiet=json):
         grid = NeighborGrid(found_points, None if nearest else radius, device=device)
-        ragged = None
+        ragged: dict[str, Any] | None = None
         data: dict[str, Any] = {}
         if nearest is not None:
             found = (

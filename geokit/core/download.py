@@ -57,11 +57,7 @@ def _host_bytes(size: int, *, pinned: bool = True) -> tuple["wp.array", int]:
 
 
 _pool = MemoryPool(
-    _host_bytes,
-    most_bytes=POOL_BYTES,
-    largest_bytes=LARGEST_POOLED,
-    ready_bytes=PINNED_AT_ONCE,
-    patience=PATIENCE,
+    _host_bytes, most_bytes=POOL_BYTES, largest_bytes=LARGEST_POOLED, ready_bytes=PINNED_AT_ONCE, patience=PATIENCE
 )
 _stages: dict[str, _Stage] = {}
 

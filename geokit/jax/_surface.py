@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from geokit import mesh
 from geokit.core.gradients.rules import held_by, hold
 from geokit.core.gradients.with_jax import Traced
-from geokit.core.interop.types import Device
+from geokit.core.interop.types import Array, Device, Rows
 from geokit.core.require import described, read_array
 from geokit.errors import InputError
 
@@ -50,7 +50,7 @@ class Surface(Traced):
     signed_distance = mesh.Surface.signed_distance
     raycast = mesh.Surface.raycast
 
-    def __init__(self, vertices: Any, faces: Any, *, device: Device = None) -> None:
+    def __init__(self, vertices: jax.Array | np.ndarray, faces: Rows, *, device: Device = None) -> None:
         vertices = read_jax(vertices, "vertices")
         if vertices.ndim != 2 or vertices.shape[1] != 3:
             raise InputError(f"vertices: shape {tuple(vertices.shape)} is not (V, 3); use vmap for batches")
@@ -62,7 +62,7 @@ class Surface(Traced):
         self._kept: dict[str, mesh.Surface] = {}
         hold(self, vertices=vertices)
 
-    def winding_number(self, points: Any, *, as_given: bool = False) -> Any:
+    def winding_number(self, points: Rows, *, as_given: bool = False) -> Array:
         """Winding numbers as of :meth:`geokit.mesh.Surface.winding_number`, with ``as_given=True``.
 
         Args:
@@ -78,17 +78,17 @@ class Surface(Traced):
         return mesh.Surface.winding_number(self, points, as_given=True)  # type: ignore[arg-type]
 
     @property
-    def bounds(self) -> Any:
+    def bounds(self) -> jax.Array:
         """Bounding box of the vertices [world], shape (2, 3)."""
         vertices = jax.lax.stop_gradient(held_by(self)["vertices"])
         return jnp.stack([vertices.min(0), vertices.max(0)])
 
     @property
-    def scale(self) -> Any:
+    def scale(self) -> jax.Array:
         """Half of the longest side of the bounding box [world]."""
         return jnp.ptp(self.bounds, axis=0).max() * 0.5
 
-    def made(self, **arrays: NDArray[Any]) -> mesh.Surface:
+    def made(self, **arrays: NDArray[np.floating]) -> mesh.Surface:
         """The surface of known vertices; see :class:`geokit.core.gradients.rules.Deferred`."""
         vertices = arrays["vertices"].astype(np.float64)
         kept = self._kept.get("surface")

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import NoReturn
 
+import jax
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit import volume as verbs
 from geokit.core.gradients.rules import hold
 from geokit.core.gradients.with_jax import Traced
+from geokit.core.interop.types import Rows
 from geokit.errors import InputError
 from geokit.jax._surface import read_jax
 
@@ -29,12 +31,12 @@ class Volume(Traced):
     raycast = verbs.raycast
     integrate = verbs.integrate
 
-    def __init__(self, template: verbs.SparseVolume, values: Any) -> None:
+    def __init__(self, template: verbs.SparseVolume, values: jax.Array | np.ndarray) -> None:
         self.template, self.info = template, template.info
-        self._kept: dict[str, tuple[NDArray[Any], verbs.SparseVolume]] = {}
+        self._kept: dict[str, tuple[NDArray[np.floating], verbs.SparseVolume]] = {}
         hold(self, values=values)
 
-    def hessian(self, points: Any, **_: Any) -> Any:
+    def hessian(self, points: Rows, **_: object) -> NoReturn:
         """Second derivatives of samples are not known here.
 
         Raises:
@@ -42,7 +44,7 @@ class Volume(Traced):
         """
         raise InputError("order: gradients of order 2 and 3 have no derivative in jax; take order 1, or torch")
 
-    def made(self, **arrays: NDArray[Any]) -> verbs.SparseVolume:
+    def made(self, **arrays: NDArray[np.floating]) -> verbs.SparseVolume:
         """The volume of known values; see :class:`geokit.core.gradients.rules.Deferred`."""
         values = arrays["values"]
         kept = self._kept.get("volume")
@@ -51,7 +53,7 @@ class Volume(Traced):
         return kept[1]
 
 
-def with_values(volume: verbs.SparseVolume, values: Any) -> Volume:
+def with_values(volume: verbs.SparseVolume, values: jax.Array | np.ndarray) -> Volume:
     """The same voxels with active values that are an array of jax: :func:`geokit.volume.with_values` with gradients.
 
     Samples of orders 1 to 3, gradients of order 1, hits, transmittances and emissions carry gradients with respect to

@@ -21,6 +21,11 @@ from geokit.mesh.model.data import full_scale, has_meaning
 from geokit.mesh.surfaces.objects import require_mesh
 
 if TYPE_CHECKING:
+    import meshio
+    import open3d
+    import pyvista
+    import trimesh
+
     from geokit.mesh.model.data import Material
     from geokit.mesh.model.triangle_mesh import TriangleMesh
 
@@ -38,7 +43,7 @@ def _bytes(mesh: TriangleMesh) -> int:
 
 
 @needs(_bytes)
-def to_trimesh(mesh: MeshLike) -> Any:
+def to_trimesh(mesh: MeshLike) -> trimesh.Trimesh:
     """A ``trimesh.Trimesh`` of the same vertices and faces; nothing is merged or dropped.
 
     A vertex whose corners differ in an attribute, such as on a seam of texture coordinates, becomes several. Colors and
@@ -99,7 +104,7 @@ def to_trimesh(mesh: MeshLike) -> Any:
 
 
 @needs(_bytes, fatal=True)  # VTK ends the process where memory runs out
-def to_pyvista(mesh: MeshLike) -> Any:
+def to_pyvista(mesh: MeshLike) -> pyvista.PolyData:
     """A ``pyvista.PolyData`` of the same vertices and faces, with its attributes as point and cell data.
 
     Normals and texture coordinates are marked as such. A vertex whose corners differ in an attribute becomes several.
@@ -120,7 +125,7 @@ def to_pyvista(mesh: MeshLike) -> Any:
 
 
 @needs(_bytes)
-def to_meshio(mesh: MeshLike) -> Any:
+def to_meshio(mesh: MeshLike) -> meshio.Mesh:
     """A ``meshio.Mesh`` of the same vertices and faces, as one block of triangles, with its attributes as data.
 
     A vertex whose corners differ in an attribute becomes several. Materials are left out; a UserWarning says so.
@@ -145,7 +150,7 @@ def to_meshio(mesh: MeshLike) -> Any:
 
 
 @needs(_bytes)
-def to_open3d(mesh: MeshLike) -> Any:
+def to_open3d(mesh: MeshLike) -> open3d.geometry.TriangleMesh:
     """An ``open3d.geometry.TriangleMesh`` of the same vertices and faces.
 
     It holds normals, colors of vertices without alpha, texture coordinates, and the images of materials. A vertex whose

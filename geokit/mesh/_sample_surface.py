@@ -35,9 +35,13 @@ BYTES_PER_DART = 1170
 
 
 class SurfaceSamples(NamedTuple):
-    """points (N, 3) [world], triangle_id (N,) int32, barycentric (N, 3), radius [world].
+    """Points on a surface.
 
-    No two points are nearer to each other than ``radius``, which is 0.0 for uniform samples.
+    Attributes:
+        points: The points [world], shape (N, 3).
+        triangle_id: Triangles that they lie on, shape (N,) int32.
+        barycentric: Weights of the triangles' corners there, shape (N, 3).
+        radius: No two points are nearer to each other than that [world]; 0.0 for uniform samples.
     """
 
     points: NDArray[np.float64]
@@ -63,12 +67,7 @@ def samples_bytes(
 
 @needs(samples_bytes, late=True)
 def sample_surface(
-    mesh: MeshLike,
-    count: int | None = None,
-    *,
-    method: str = "uniform",
-    radius: float | None = None,
-    seed: int = 0,
+    mesh: MeshLike, count: int | None = None, *, method: str = "uniform", radius: float | None = None, seed: int = 0
 ) -> SurfaceSamples:
     """Random points on the surface; the same mesh, arguments and seed give the same points.
 

@@ -131,7 +131,7 @@ def _closest(
     away = np.einsum("ij,ij->i", normals, facing[triangle_id]) <= 0.0
     left = np.flatnonzero(away & normals.any(axis=1))
     most = reach + found.distance
-    radius = np.maximum(2.0 * found.distance, most * FIRST_SHARE)
+    radius: Any = np.maximum(2.0 * found.distance, most * FIRST_SHARE)
     while len(left):
         radius[left] = np.minimum(radius[left], most[left])
         for block, row, near in alike_near(surface, facing, points[left], normals[left], radius[left]):

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from geokit.core import launcher
-from geokit.core.interop.types import Device, Rows
+from geokit.core.interop.types import Array, Device, Rows
 from geokit.core.interop.user_arrays import read_vectors, require_finite_scalar
 from geokit.core.memory.needs import needs, rows
 from geokit.core.require import require_count
@@ -18,7 +16,7 @@ NO_INDEX = 2**31 - 1
 
 
 @needs(lambda points, **_: 48 * rows(points))
-def cluster(points: Rows, *, radius: float, minimum_count: int = 5, device: Device = None) -> Any:
+def cluster(points: Rows, *, radius: float, minimum_count: int = 5, device: Device = None) -> Array:
     """Cluster points by density (DBSCAN).
 
     A core point has at least ``minimum_count`` points within the radius, itself among them. Core points within the

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from geokit.core import launcher
 from geokit.core.gradients.differentiable import library_of
 from geokit.core.gradients.rules import is_on_tape, is_tracked
-from geokit.core.interop.types import Device, Rows
+from geokit.core.interop.types import Array, Device, Rows
 from geokit.core.interop.user_arrays import read_vectors
 from geokit.core.memory.needs import needs, rows
 from geokit.core.query.ask import query
@@ -40,11 +40,11 @@ class DirectedDistance(NamedTuple):
         index_to: Its nearest point in the other cloud; the lowest index among ties.
     """
 
-    max: Any
-    mean: Any
-    rms: Any
-    index_from: Any
-    index_to: Any
+    max: Array
+    mean: Array
+    rms: Array
+    index_from: Array
+    index_to: Array
 
 
 class ChamferDistance(NamedTuple):
@@ -57,8 +57,8 @@ class ChamferDistance(NamedTuple):
         b_to_a: From the points of the second cloud to the first.
     """
 
-    distance: Any
-    squared: Any
+    distance: Array
+    squared: Array
     a_to_b: DirectedDistance
     b_to_a: DirectedDistance
 
@@ -150,7 +150,7 @@ def hausdorff(a: Rows, b: Rows, *, device: Device = None) -> HausdorffDistance:
     return found
 
 
-def _hausdorff_of(there: DirectedDistance, back: DirectedDistance) -> HausdorffDistance:
+def _hausdorff_of(there: Any, back: Any) -> HausdorffDistance:
     forth = there.max >= back.max
     return HausdorffDistance(
         max=max(there.max, back.max),
@@ -223,7 +223,7 @@ def _chamfer_of_groups(a: Any, b: Any, groups: Any, device: Any) -> ChamferDista
     back = _from_groups(batches[1].array, batches[0].array, second, first, "b")
     chamfer_of = _chamfer_of(there, back)
 
-    def given(values: NDArray[Any]) -> Any:
+    def given(values: Any) -> Any:
         kind = wp.float64 if values.dtype == np.float64 else wp.int32
         return batches[0].to_caller(wp.array(values, dtype=kind, device=target))
 
@@ -307,8 +307,9 @@ def _from_groups(
     if (found[:, 0] == np.inf).any():
         row = int(far[np.argmax(found[:, 0])])
         raise InputError(f"{name}: row {row} is so far away that its squared distance is not a float64; scale both")
-    largest, mean, rms = (np.ascontiguousarray(found[:, column]) for column in range(3))
-    return DirectedDistance(largest, mean, rms, far.astype(np.int32), indices.numpy().reshape(-1)[far])
+    measured: list[Any] = [np.ascontiguousarray(found[:, column]) for column in range(3)]
+    measured += [far.astype(np.int32), indices.numpy().reshape(-1)[far]]
+    return DirectedDistance(*measured)
 
 
 class _Between(NamedTuple):
@@ -352,10 +353,7 @@ def _from(points: "wp.array", others: "wp.array", name: str) -> DirectedDistance
         raise InputError(f"{name}: row {index} is so far away that its squared distance is not a float64; scale both")
     # Scale by the largest distance before squaring, so that squares neither overflow nor vanish.
     share = distance / largest if largest > 0.0 else distance
-    return DirectedDistance(
-        max=largest,
-        mean=float(distance.mean()),
-        rms=largest * float(np.sqrt(np.mean(share * share))),
-        index_from=index,
-        index_to=int(indices[index : index + 1].numpy().reshape(-1)[0]),
-    )
+    rms = largest * float(np.sqrt(np.mean(share * share)))
+    nearest_index = int(indices[index : index + 1].numpy().reshape(-1)[0])
+    numbers: Any = (largest, float(distance.mean()), rms, index, nearest_index)
+    return DirectedDistance(*numbers)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,6 +11,11 @@ from geokit._warn import warn
 from geokit.core.memory.needs import needs, rows
 from geokit.errors import MissingDependencyError
 from geokit.points._io import PointCloud
+
+if TYPE_CHECKING:
+    import open3d
+    import pyvista
+    import trimesh
 
 __all__ = ["to_open3d", "to_pyvista", "to_trimesh"]
 
@@ -24,7 +29,7 @@ def _bytes(points: Any) -> int:
 
 
 @needs(_bytes, fatal=True)
-def to_pyvista(points: PointCloud) -> Any:
+def to_pyvista(points: PointCloud) -> pyvista.PolyData:
     """A ``pyvista.PolyData`` of points, with their arrays as point data.
 
     Args:
@@ -44,7 +49,7 @@ def to_pyvista(points: PointCloud) -> Any:
 
 
 @needs(_bytes)
-def to_open3d(points: PointCloud) -> Any:
+def to_open3d(points: PointCloud) -> open3d.geometry.PointCloud:
     """An ``open3d.geometry.PointCloud`` of points, with ``normals`` and ``rgb`` or ``rgba`` if it has them.
 
     Open3D's colors are shares of 1. Other arrays have no place there and are left out, which a UserWarning says; the
@@ -81,7 +86,7 @@ def to_open3d(points: PointCloud) -> Any:
 
 
 @needs(_bytes)
-def to_trimesh(points: PointCloud) -> Any:
+def to_trimesh(points: PointCloud) -> trimesh.PointCloud:
     """A ``trimesh.PointCloud`` of points, with the array ``rgb`` or ``rgba`` as colors of 8 bits where there is one.
 
     It has no place for other arrays; a UserWarning names them.

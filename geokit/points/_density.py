@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from geokit.core import launcher
-from geokit.core.interop.types import Device, Rows
+from geokit.core.interop.types import Array, Device, Rows
 from geokit.core.interop.user_arrays import read_numbers, require_finite_scalar
 from geokit.core.memory.needs import rows
 from geokit.core.query.ask import query
@@ -33,10 +33,10 @@ def density(
     *,
     radius: float,
     kernel: str = "count",
-    mass: Any = 1.0,
+    mass: Rows = 1.0,
     queries: Rows | None = None,
     device: Device = None,
-) -> Any:
+) -> Array:
     """Mass density of the points at the queries.
 
     The density is the sum of ``mass[j] * W(|points[j] - query|)`` over all points within the radius. A query that is

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from geokit.core import launcher
-from geokit.core.interop.types import Device, Rows
+from geokit.core.interop.types import Array, Device, Rows
 from geokit.core.interop.user_arrays import read_vectors, require_finite_scalar
 from geokit.core.memory.needs import needs, rows
 from geokit.core.require import require_count
@@ -17,10 +17,15 @@ __all__ = ["Cover", "Downsampled", "cover", "downsample"]
 
 
 class Downsampled(NamedTuple):
-    """points (M, 3) [world]; indices (M,) int32: the input point that each one is, or is nearest to."""
+    """A cloud of fewer points.
 
-    points: Any
-    indices: Any
+    Attributes:
+        points: The points [world], shape (M, 3).
+        indices: The input point that each one is, or is nearest to, shape (M,) int32.
+    """
+
+    points: Array
+    indices: Array
 
 
 class Cover(NamedTuple):
@@ -33,8 +38,8 @@ class Cover(NamedTuple):
         deviation_p999: The 99.9th percentile of these distances [world].
     """
 
-    points: Any
-    indices: Any
+    points: Array
+    indices: Array
     deviation: float
     deviation_p999: float
 

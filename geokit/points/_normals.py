@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from geokit.core import launcher
-from geokit.core.interop.types import Device, Rows
+from geokit.core.interop.types import Array, Device, Rows
 from geokit.core.interop.user_arrays import read_vectors, require_finite_scalar
 from geokit.core.memory.needs import needs, rows
 from geokit.core.require import require_choice, require_count, require_table
@@ -38,8 +39,8 @@ class PointNormals(NamedTuple):
             in a plane, 1/3 in a ball; shape (N,).
     """
 
-    normals: Any
-    curvature: Any
+    normals: Array
+    curvature: Array
 
 
 def _bytes(points: Any, *, k: int = 16, orientation: str = "propagation", **_: Any) -> float:
@@ -53,7 +54,7 @@ def normals(
     k: int = 16,
     radius: float | None = None,
     orientation: str = "propagation",
-    viewpoint: Any = None,
+    viewpoint: ArrayLike | None = None,
     device: Device = None,
 ) -> PointNormals:
     """Estimate normals of points from planes fitted to their neighborhoods.

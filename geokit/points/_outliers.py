@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from geokit.core import launcher
-from geokit.core.interop.types import Device, Rows
+from geokit.core.interop.types import Array, Device, Rows
 from geokit.core.interop.user_arrays import LARGEST_MEASURED, read_vectors, require_finite_scalar
 from geokit.core.memory.needs import needs, rows
 from geokit.core.require import require_choice, require_count
@@ -34,7 +34,7 @@ def outliers(
     radius: float | None = None,
     minimum_count: int = 2,
     device: Device = None,
-) -> Any:
+) -> Array:
     """Mark points that are isolated from the others.
 
     - "statistical": points whose mean distance to their ``k`` nearest other points exceeds the mean of all such means

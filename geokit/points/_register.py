@@ -6,11 +6,11 @@ import math
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from geokit.core import launcher
 from geokit.core.gradients.differentiable import of_constants
-from geokit.core.interop.types import Device
+from geokit.core.interop.types import Device, Rows
 from geokit.core.interop.user_arrays import LARGEST_MEASURED, read_vectors, require_finite_scalar
 from geokit.core.memory.needs import needs, rows
 from geokit.core.require import require_choice, require_count, require_table
@@ -98,12 +98,12 @@ def _bytes(source: Any, target: Any, *, target_normals: Any = None, **_: Any) ->
 @of_constants
 @needs(_bytes)
 def register(
-    source: Any,
+    source: Rows,
     target: Any,
     *,
     method: str = "point_to_plane",
-    target_normals: Any = None,
-    initial: Any = None,
+    target_normals: Rows | None = None,
+    initial: ArrayLike | None = None,
     max_distance: float = math.inf,
     max_iterations: int = 50,
     tolerance: float = 1e-9,

@@ -25,12 +25,7 @@ def _bytes(mesh: TriangleMesh, count: int | None = None, **options: Any) -> floa
 
 @needs(_bytes, late=True)
 def sample(
-    mesh: MeshLike,
-    count: int | None = None,
-    *,
-    method: str = "uniform",
-    radius: float | None = None,
-    seed: int = 0,
+    mesh: MeshLike, count: int | None = None, *, method: str = "uniform", radius: float | None = None, seed: int = 0
 ) -> PointCloud:
     """A point cloud on the surface of a mesh, with normals and the attributes of the mesh.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from geokit.core import launcher
 from geokit.core.base.forks import renew_after_fork
@@ -13,6 +13,9 @@ from geokit.core.launches import warp_private
 from geokit.core.require import require_callable, require_count, require_instance, require_items
 from geokit.core.running.thread_placement import Pool
 from geokit.errors import InputError
+
+if TYPE_CHECKING:
+    import warp as wp
 
 __all__ = ["Team"]
 
@@ -70,7 +73,9 @@ class Team:
         self._first = Pool(1, "geokit-team")
         self._others = ThreadPoolExecutor(max(1, self.threads - 1), thread_name_prefix="geokit-team")
 
-    def record(self, kernel: Any, count: int, inputs: Sequence[Any], *, block: int = BLOCK) -> Callable[[], None]:
+    def record(
+        self, kernel: "wp.Kernel | Callable[..., object]", count: int, inputs: Sequence[object], *, block: int = BLOCK
+    ) -> Callable[[], None]:
         """Prepare a launch that is made many times.
 
         Args:
@@ -122,7 +127,9 @@ class Team:
 
         return run
 
-    def run(self, kernel: Any, count: int, inputs: Sequence[Any], *, block: int = BLOCK) -> None:
+    def run(
+        self, kernel: "wp.Kernel | Callable[..., object]", count: int, inputs: Sequence[object], *, block: int = BLOCK
+    ) -> None:
         """Launch a kernel once. The arguments are those of :meth:`record`.
 
         Args:
@@ -135,7 +142,7 @@ class Team:
         """
         self.record(kernel, count, inputs, block=block)()
 
-    def sequence(self, calls: Sequence[Callable[[], Any]]) -> Callable[[], None]:
+    def sequence(self, calls: Sequence[Callable[[], object]]) -> Callable[[], None]:
         """Combine several calls into one function; on a GPU they become a CUDA graph, launched by one driver call.
 
         The first run makes the calls directly, so that modules are loaded and memory is allocated. On a GPU the second
@@ -174,7 +181,7 @@ class Team:
             job.result()
 
 
-def _call_all(calls: Sequence[Callable[[], Any]]) -> None:
+def _call_all(calls: Sequence[Callable[[], object]]) -> None:
     for call in calls:
         call()
 

@@ -10,7 +10,7 @@ from geokit import mesh
 from geokit.core.blocks.several_devices import shows_arguments
 from geokit.core.gradients.rules import hold, split
 from geokit.core.gradients.with_torch import LIBRARY
-from geokit.core.interop.types import Device
+from geokit.core.interop.types import Device, Rows
 from geokit.core.require import require_instance, require_memory
 from geokit.errors import InputError
 
@@ -39,7 +39,7 @@ class Surface(mesh.Surface):
         tensor([-0.5000, -0.2500, -0.2500])
     """
 
-    def __init__(self, vertices: Any, faces: Any, *, device: Device = None) -> None:
+    def __init__(self, vertices: torch.Tensor, faces: Rows, *, device: Device = None) -> None:
         _require_tensor(vertices, "take geokit.mesh.Surface for other arrays")
         plain, tracked = split(vertices)
         super().__init__(_mesh(plain, faces), device=str(plain.device) if device is None else device)
@@ -51,8 +51,8 @@ class Surface(mesh.Surface):
 
 
 def sample_surface(
-    vertices: Any,
-    faces: Any,
+    vertices: torch.Tensor,
+    faces: Rows,
     count: int | None = None,
     *,
     method: str = "uniform",

@@ -15,6 +15,9 @@ from geokit.volume._dense import native_of, to_dense
 from geokit.volume.tree.leaves import require_volume
 
 if TYPE_CHECKING:
+    import pyvista
+    import xarray
+
     from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["axes_of", "to_pyvista", "to_xarray"]
@@ -31,7 +34,7 @@ def _image_bytes(volume: SparseVolume, bounds: Any = None, **_: Any) -> float:
 
 
 @needs(_image_bytes, fatal=True)
-def to_pyvista(volume: SparseVolume, *, bounds: ArrayLike | None = None, device: Device = None) -> Any:
+def to_pyvista(volume: SparseVolume, *, bounds: ArrayLike | None = None, device: Device = None) -> pyvista.ImageData:
     """A ``pyvista.ImageData`` of the voxels of a box, as its active point data; :func:`from_dense` takes it back.
 
     Voxels become points of the image, and ``offset`` is the index of the first one, so that indices are kept.
@@ -75,7 +78,7 @@ def to_pyvista(volume: SparseVolume, *, bounds: ArrayLike | None = None, device:
 
 
 @needs()
-def to_xarray(volume: SparseVolume, *, bounds: ArrayLike | None = None, device: Device = None) -> Any:
+def to_xarray(volume: SparseVolume, *, bounds: ArrayLike | None = None, device: Device = None) -> xarray.DataArray:
     """An ``xarray.DataArray`` of the voxels of a box; :func:`from_dense` takes it back.
 
     The coordinates along x, y and z are those of the voxel centers [world]. Where the voxels are not aligned with the

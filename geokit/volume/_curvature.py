@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from geokit.core import launcher
 from geokit.core.blocks.several_devices import LEAST_ON_GPUS
-from geokit.core.interop.types import Devices, Rows
+from geokit.core.interop.types import Array, Devices, Rows
 from geokit.core.interop.user_arrays import Batch, read_vectors
 from geokit.core.query.ask import query
 from geokit.errors import UnsupportedGridError
@@ -30,13 +30,15 @@ class Curvatures(NamedTuple):
         principal: The larger and the smaller principal curvature [1 / world], shape (N, 2).
     """
 
-    mean: Any
-    gaussian: Any
-    principal: Any
+    mean: Array
+    gaussian: Array
+    principal: Array
 
 
 @query("points", is_replayed=True, least_rows=LEAST_ON_GPUS, row_bytes=96)
-def hessian(volume: SparseVolume, points: Rows, *, order: int = 3, space: str = "world", device: Devices = None) -> Any:
+def hessian(
+    volume: SparseVolume, points: Rows, *, order: int = 3, space: str = "world", device: Devices = None
+) -> Array:
     """Hessian (matrix of second derivatives) of a volume at each point.
 
     The result is exact for the interpolant of :func:`geokit.volume.sample`, in float64. The second derivatives of both

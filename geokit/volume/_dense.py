@@ -6,7 +6,7 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from geokit.core import launcher
 from geokit.core.interop import user_arrays
@@ -51,7 +51,7 @@ class DenseGrid(NamedTuple):
             ``array_transform``.
     """
 
-    values: NDArray[Any]
+    values: np.ndarray
     origin: NDArray[np.int64]
     transform: NDArray[np.float64]
 
@@ -191,7 +191,7 @@ def to_dense(
     volume: SparseVolume,
     *,
     bounds: ArrayLike | None = None,
-    dtype: Any = None,
+    dtype: DTypeLike | None = None,
     channel: int | str | None = None,
     device: Device = None,
 ) -> DenseGrid:

@@ -57,13 +57,7 @@ def _bytes(points: Any, radius: Any, voxel_size: float, *, half_width: float = 3
 
 @needs(_bytes, late=True)
 def from_points(
-    points: Rows,
-    radius: Any,
-    *,
-    voxel_size: float,
-    half_width: float = 3.0,
-    name: str = "",
-    device: Device = None,
+    points: Rows, radius: Any, *, voxel_size: float, half_width: float = 3.0, name: str = "", device: Device = None
 ) -> SparseVolume:
     """Build the signed distance to the union of balls around points, in a band around its surface.
 

@@ -10,7 +10,7 @@ import numpy as np
 from geokit.core import launcher
 from geokit.core.blocks.several_devices import LEAST_ON_GPUS
 from geokit.core.interop import user_arrays
-from geokit.core.interop.types import Devices, Rows
+from geokit.core.interop.types import Array, Devices, Rows
 from geokit.core.memory.pinned import host_flags
 from geokit.core.query.ask import query
 from geokit.core.require import require_one_world
@@ -26,10 +26,15 @@ __all__ = ["Transmittance", "integrate"]
 
 
 class Transmittance(NamedTuple):
-    """Result of :func:`integrate`: transmittance (N,), from 0 to 1, and emission (N,)."""
+    """Result of :func:`integrate`.
 
-    transmittance: Any
-    emission: Any
+    Attributes:
+        transmittance: Share of the light that passes along each ray, from 0 to 1, shape (N,).
+        emission: What each ray collects, shape (N,).
+    """
+
+    transmittance: Array
+    emission: Array
 
 
 @query(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from geokit.core import launcher
 from geokit.core.blocks.several_devices import LEAST_ON_GPUS
 from geokit.core.interop import user_arrays
-from geokit.core.interop.types import Devices, Rows
+from geokit.core.interop.types import Array, Devices, Rows
 from geokit.core.memory.pinned import host_flags
 from geokit.core.query.ask import query
 from geokit.volume.model.sparse_volume import SparseVolume
@@ -26,14 +26,17 @@ GRAIN = 32
 
 
 class VolumeHits(NamedTuple):
-    """Result of :func:`raycast`: t (N,) in units of the ray's direction, points (N, 3) and normals (N, 3) [world].
+    """Result of :func:`raycast`. A miss has t inf and NaN elsewhere.
 
-    A miss has t inf and NaN elsewhere.
+    Attributes:
+        t: Where the rays hit, in units of their directions, shape (N,).
+        points: Where they hit [world], shape (N, 3).
+        normals: Unit normals there [world], shape (N, 3).
     """
 
-    t: Any
-    points: Any
-    normals: Any
+    t: Array
+    points: Array
+    normals: Array
 
 
 @query(

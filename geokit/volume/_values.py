@@ -32,10 +32,15 @@ TYPES = ("float", "double")
 
 
 class ActiveVoxels(NamedTuple):
-    """coordinates (A, 3) int32 [index], values (A,) of the grid's type: each active voxel of a leaf once."""
+    """The active voxels of a volume's leaves, each once.
+
+    Attributes:
+        coordinates: The voxels [index], shape (A, 3) int32.
+        values: Their values, shape (A,), float32 or float64 as the grid.
+    """
 
     coordinates: NDArray[np.int32]
-    values: NDArray[Any]
+    values: NDArray[np.floating]
 
 
 @needs(lambda volume: 80 * volume.info.active_voxel_count)

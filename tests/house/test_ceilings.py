@@ -33,9 +33,9 @@ CEILINGS = {
     "files in volume/tree": 40,
     "folders in knots": 0,
     "files in import circles": 33,
-    "public arguments with Any": 55,
-    "public returns with Any": 48,
-    "public fields with Any": 64,
+    "public arguments with Any": 23,
+    "public returns with Any": 1,
+    "public fields with Any": 2,
 }
 SUFFIXES = {".py", ".pyi", ".inl", ".cpp", ".h", ".js", ".css", ".html", ".map", ".txt", ".yaml", ".typed"}
 # A ceiling of lines is lowered now and then, not with each line.
@@ -115,7 +115,8 @@ def public_annotations() -> Iterator[tuple[str, str, Any]]:
                 yield from of_callable(named, thing)
                 continue
             for field, annotation in inspect.get_annotations(thing).items():
-                yield "fields", f"{named}.{field}", annotation
+                if not field.startswith("_"):
+                    yield "fields", f"{named}.{field}", annotation
             for method in sorted({*dir(thing), "__init__"}):
                 value = inspect.getattr_static(thing, method)
                 value = getattr(value, "__func__", getattr(value, "fget", value))

@@ -18,6 +18,9 @@ ANSWERS = {
     "gk.mesh.Surface(mesh).closest_point(rows)": "ClosestPoints",
     "gk.volume.from_mesh(mesh, 0.1).info": "GridInfo",
     "gk.points.NeighborGrid(rows, 0.1).knn(rows, 3)": "KNearest",
+    "gk.mesh.Surface(mesh).closest_point(rows).points[0] * 2.0 - 1.0": "Array",
+    "gk.volume.from_mesh(mesh, 0.1).sample(rows).shape": "tuple[",
+    "len(gk.mesh.Surface(mesh).contains(rows))": "int",
 }
 
 # Packages that come with extras have four times as many files as all others. Their types are in no answer.
@@ -170,6 +173,30 @@ def test_rows_and_devices_of_other_libraries_go_in(checker, cache, tmp_path):
     assert run.returncode == 0, run.stdout + run.stderr
     wrong = ["surface.closest_point(object())", "gk.mesh.Surface(mesh, device=3)", "gk.mesh.simplify(mesh, device=[])"]
     run = check(checker, ROWS + "\n".join(wrong) + "\n", tmp_path, cache)
+    assert run.returncode == 1
+    assert run.stdout.count("user.py:") >= len(wrong)
+
+
+ANSWERED = """
+import numpy as np
+import geokit as gk
+
+rows = np.zeros((4, 3))
+surface = gk.mesh.Surface(gk.mesh.box())
+found = surface.signed_distance(rows)
+print(float(found.distance[0]), np.linalg.norm(found.points - rows, axis=1), rows[found.distance > 0.0])
+print(found.distance.square().sum().backward(), abs(1.0 - found.distance).max(), [row for row in found.points])
+surface.closest_point(found.points)
+gk.points.PointCloud(np.asarray(found.points), {"distance": np.asarray(found.distance)})
+"""
+
+
+def test_answers_are_arrays_of_any_library_and_nothing_else(checker, cache, tmp_path):
+    run = check(checker, ANSWERED, tmp_path, cache)
+    assert run.returncode == 0, run.stdout + run.stderr
+    wrong = ["gk.volume.from_mesh(gk.mesh.box(), found.distance)", "gk.mesh.audit(found.points)"]
+    wrong += ["gk.mesh.load(found.distance)", "found.distance()", "found.distance.shape.x", "found.nearest"]
+    run = check(checker, ANSWERED + "\n".join(wrong) + "\n", tmp_path, cache)
     assert run.returncode == 1
     assert run.stdout.count("user.py:") >= len(wrong)
 

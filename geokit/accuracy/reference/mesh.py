@@ -150,11 +150,7 @@ def signed_distance(vertices: ArrayLike, faces: ArrayLike, queries: ArrayLike) -
 
 
 def first_hit(
-    vertices: ArrayLike,
-    faces: ArrayLike,
-    origins: ArrayLike,
-    directions: ArrayLike,
-    max_distance: float = math.inf,
+    vertices: ArrayLike, faces: ArrayLike, origins: ArrayLike, directions: ArrayLike, max_distance: float = math.inf
 ) -> RayReference:
     """The hit of smallest t for each ray, (-1, inf) if there is none up to ``max_distance`` (inclusive).
 

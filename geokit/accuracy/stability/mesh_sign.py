@@ -288,11 +288,7 @@ def _copy_sweeps(device: Any) -> list[Sweep]:
             parameter,
             shares,
             _copies,
-            (
-                0.03,
-                FEW,
-                "Duplicate faces act as holes in a vote of rays: 3% of them give under 0.5% of wrong signs.",
-            ),
+            (0.03, FEW, "Duplicate faces act as holes in a vote of rays: 3% of them give under 0.5% of wrong signs."),
             device,
         ),
     ]

@@ -64,11 +64,11 @@ class Trial:
 
     method: str
     setting: str
-    run: Callable[[], Any]
+    run: Callable[[], object]
     judge: Callable[[Any], Judgement]
     count: int
     byte_count: int = 0
-    parameters: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    parameters: Mapping[str, object] = field(default_factory=lambda: MappingProxyType({}))
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ class Measurement:
     p999_error: float
     wrong_share: float
     unit: str
-    parameters: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    parameters: Mapping[str, object] = field(default_factory=lambda: MappingProxyType({}))
     judgement: Judgement | None = field(default=None, repr=False, compare=False)
 
 

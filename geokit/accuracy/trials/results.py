@@ -11,7 +11,11 @@ __all__ = ["ChartInfo", "Failure", "Group", "Results", "grouped"]
 
 
 class ChartInfo(NamedTuple):
-    """Metadata of a chart, without its trials; the attributes are those of Chart."""
+    """A chart without its trials.
+
+    Attributes:
+        name, title, unit, answers, vertical: Those of its Chart.
+    """
 
     name: str
     title: str

@@ -188,7 +188,7 @@ def project_points(log: DemoLog, surface: "Surface") -> Projection:
     margin = 0.1 * mesh.diagonal
     queries = random.uniform(mesh.bounds[0] - margin, mesh.bounds[1] + margin, (POINT_COUNT, 3))
     with log.step("project points", "points") as entry:
-        found = surface.closest_point(queries)
+        found: Any = surface.closest_point(queries)
         entry.count = len(queries)
     expected = reference.closest_point(mesh.vertices, mesh.faces, queries[:CHECKED]).distance
     entry.error = float(np.abs(found.distance[:CHECKED] - expected).max())
@@ -214,7 +214,8 @@ def cast_image(log: DemoLog, surface: "Surface") -> tuple[Camera, "RayHits"]:
 
 
 def _hit_masks(hits: "RayHits") -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    return hits.triangle_id >= 0, hits.triangle_id < 0
+    is_hit = np.asarray(hits.triangle_id) >= 0
+    return is_hit, ~is_hit
 
 
 def sample_volume(log: DemoLog, surface: "Surface", volume: "SparseVolume", device: Any) -> None:
@@ -276,7 +277,7 @@ def extract_surface(
     except MissingDependencyError as error:
         log.leave_out("mesh the SDF", "faces", str(error))
         return surface.mesh, np.abs(np.asarray(volume.sample(surface.mesh.vertices)))
-    distance = surface.closest_point(mesh.vertices).distance
+    distance = np.asarray(surface.closest_point(mesh.vertices).distance)
     entry.error = float(distance.max())
     entry.reference = "exact distance to the original [world]"
     return mesh, distance

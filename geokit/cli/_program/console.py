@@ -107,11 +107,7 @@ def print_table(columns: Sequence[str], rows: Sequence[Sequence[Any]], *, title:
     from rich.text import Text
 
     table = Table(
-        title=escape(printable(title)) or None,
-        title_justify="left",
-        box=None,
-        pad_edge=False,
-        header_style="bold",
+        title=escape(printable(title)) or None, title_justify="left", box=None, pad_edge=False, header_style="bold"
     )
     for index, column in enumerate(columns):
         numeric = all(isinstance(row[index], (int, float)) or row[index] in ("", "-") for row in rows)

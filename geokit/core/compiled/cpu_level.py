@@ -21,10 +21,7 @@ NATIVE = "native"
 _NATIVE_FLAG = "-march=native"
 _V3 = frozenset(["avx", "avx2", "bmi1", "bmi2", "f16c", "fma", "abm", "movbe", "xsave"])
 # Levels of the x86-64 psABI, best first, and what Linux calls their features.
-LEVELS = {
-    "x86-64-v4": _V3 | frozenset(["avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"]),
-    "x86-64-v3": _V3,
-}
+LEVELS = {"x86-64-v4": _V3 | frozenset(["avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"]), "x86-64-v3": _V3}
 # Clang prefers vectors of 256 bits for v4, which made gradients of order 2 1.3 times slower on a Zen 4.
 _TUNING = {"x86-64-v4": " -mprefer-vector-width=512"}
 _FEATURES = Path("/proc/cpuinfo")

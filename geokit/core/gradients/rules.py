@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
+import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core.base.query import Query
@@ -19,6 +20,9 @@ from geokit.core.interop.arrays import detached, led
 from geokit.core.launches import warp_private
 from geokit.core.require import refuse_recording
 from geokit.errors import InputError
+
+if TYPE_CHECKING:
+    import jax
 
 __all__ = [
     "PLAIN",
@@ -140,21 +144,24 @@ def hold(holder: Any, **tensors: Any) -> None:
     object.__setattr__(holder, _HELD, tensors)
 
 
+_Same = TypeVar("_Same", bound="Deferred")
+
+
 class Deferred:
     """An object of jax arrays, whose values are known when a query runs: in a callback.
 
     Queries of the object that is made take this one in its place, and rules read its attributes.
     """
 
-    def made(self, **arrays: NDArray[Any]) -> Any:
+    def made(self, **arrays: NDArray[np.floating]) -> Any:
         """The object of NumPy arrays in place of those that this one holds."""
         raise NotImplementedError
 
-    def constant(self, held: dict[str, Any]) -> Any:
+    def constant(self: _Same, held: dict[str, jax.Array]) -> _Same:
         """The same, of constants."""
         raise NotImplementedError
 
-    def holding(self, held: dict[str, Any]) -> Any:
+    def holding(self: _Same, held: dict[str, jax.Array]) -> _Same:
         """The same, of other arrays."""
         other: Any = object.__new__(type(self))
         other.__dict__.update(self.__dict__)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -17,10 +17,13 @@ from geokit.errors import InputError
 __all__ = ["LIBRARY", "Traced", "attach"]
 
 
+_Same = TypeVar("_Same", bound="Traced")
+
+
 class Traced(Deferred):
     """An object that holds arrays of jax."""
 
-    def constant(self, held: dict[str, Any]) -> Any:
+    def constant(self: _Same, held: dict[str, jax.Array]) -> _Same:
         """The same, of constants."""
         return self.holding({name: jax.lax.stop_gradient(value) for name, value in held.items()})
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from geokit import _drawing
 
@@ -13,12 +13,12 @@ if TYPE_CHECKING:
 __all__ = ["repr_html", "show"]
 
 
-def repr_html(thing: Any) -> str:
+def repr_html(thing: object) -> str:
     """Its one-line description, and a small picture if one can be drawn here; for ``_repr_html_``."""
     return _drawing.picture(thing)  # type: ignore[return-value]
 
 
-def show(self: Any, path: str | os.PathLike[str] | None = None) -> Page:
+def show(self: object, path: str | os.PathLike[str] | None = None) -> Page:
     """Show it in an interactive page; see :func:`geokit.render.view`.
 
     A notebook shows the page below the cell. Elsewhere it is written to a temporary file and opened in the browser.

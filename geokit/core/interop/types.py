@@ -1,16 +1,16 @@
-"""What public functions take, for type checkers: devices, rows of numbers, and meshes of any library."""
+"""What public functions take and give, for type checkers: devices, rows, meshes of any library, arrays of answers."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["Device", "Devices", "MeshLike", "Rows"]
+__all__ = ["Array", "Device", "Devices", "MeshLike", "Rows"]
 
 
 class _TypedDevice(Protocol):
@@ -128,3 +128,39 @@ class _Scene(Protocol):
 
 # What functions take for a mesh, for type checkers: :func:`geokit.core.interop.objects.polygons_of` reads them.
 MeshLike: TypeAlias = _Indexed | _Triangles | _Tensors | _Faces | _Cells | _Scene | tuple[Any, Any]
+
+
+class Array(Protocol):
+    """An answer, in the container of the rows: an array of NumPy, torch, JAX, CuPy or warp.
+
+    Checkers know what these share; a number, text, a path or a volume it is not. All else is what the container has:
+    ``backward`` of torch, ``at`` of JAX. ``np.asarray`` or ``torch.as_tensor`` tells which one it is.
+    """
+
+    @property
+    def shape(self) -> tuple[int, ...]: ...
+    @property
+    def ndim(self) -> int: ...
+    @property
+    def dtype(self) -> Any: ...
+    def __getattr__(self, name: str, /) -> Any: ...
+    def __array__(self) -> NDArray[Any]: ...
+    def __dlpack__(self, *_: Any, **__: Any) -> Any: ...
+    def __len__(self) -> int: ...
+    def __iter__(self) -> Iterator[Array]: ...
+    def __getitem__(self, key: Any, /) -> Array: ...
+    def __setitem__(self, key: Any, value: Any, /) -> None: ...  # not of JAX
+    def __float__(self) -> float: ...
+    def __int__(self) -> int: ...
+    def __index__(self) -> int: ...
+    def __add__(self, other: Any, /) -> Array: ...
+
+    __radd__ = __sub__ = __rsub__ = __mul__ = __rmul__ = __truediv__ = __rtruediv__ = __add__  # type: ignore[misc]
+    __floordiv__ = __mod__ = __pow__ = __rpow__ = __matmul__ = __rmatmul__ = __add__  # type: ignore[misc]
+    __and__ = __or__ = __xor__ = __lt__ = __le__ = __gt__ = __ge__ = __add__  # type: ignore[misc]
+
+    def __eq__(self, other: object, /) -> Array: ...  # type: ignore[override]
+    def __ne__(self, other: object, /) -> Array: ...  # type: ignore[override]
+    def __neg__(self) -> Array: ...
+    def __invert__(self) -> Array: ...
+    def __abs__(self) -> Array: ...

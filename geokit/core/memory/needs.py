@@ -19,16 +19,7 @@ from geokit.core.base.forks import renew_after_fork
 from geokit.core.memory import available_memory
 from geokit.errors import LARGEST_NEED, DeviceMemoryError, GeokitError, InputError
 
-__all__ = [
-    "be_a_guest",
-    "estimated",
-    "file_size",
-    "guarded",
-    "is_out_of_memory",
-    "needs",
-    "require_free",
-    "rows",
-]
+__all__ = ["be_a_guest", "estimated", "file_size", "guarded", "is_out_of_memory", "needs", "require_free", "rows"]
 
 # Needs up to this many bytes are not checked: to ask for the free memory takes 50 us.
 UNCHECKED_BYTES = 1 << 24

@@ -22,15 +22,7 @@ if TYPE_CHECKING:
     from geokit.mesh.model.data import Material
     from geokit.mesh.model.triangle_mesh import TriangleMesh
 
-__all__ = [
-    "attributes_of",
-    "glb_of",
-    "gltf_of",
-    "has_alpha",
-    "holds_texture",
-    "holds_type",
-    "materials_of",
-]
+__all__ = ["attributes_of", "glb_of", "gltf_of", "has_alpha", "holds_texture", "holds_type", "materials_of"]
 
 _MAGIC, _JSON, _BINARY = b"glTF", b"JSON", b"BIN\0"
 _NAMES = {"NORMAL": "normal", "TEXCOORD_0": "uv", "COLOR_0": "color"}
@@ -195,11 +187,7 @@ def _written(mesh: TriangleMesh) -> tuple[dict[str, Any], bytes]:
     }
     header |= _material_entries(mesh.materials, binary, _is_clear(mesh.vertex_data.get("color")))
     content = bytes(binary.content)
-    header |= {
-        "accessors": binary.accessors,
-        "bufferViews": binary.views,
-        "buffers": [{"byteLength": len(content)}],
-    }
+    header |= {"accessors": binary.accessors, "bufferViews": binary.views, "buffers": [{"byteLength": len(content)}]}
     return header, content
 
 

@@ -23,14 +23,7 @@ from geokit.core.require import (
     require_text,
 )
 from geokit.errors import InputError
-from geokit.mesh.model.data import (
-    NOTHING,
-    Data,
-    Material,
-    checked_data,
-    checked_materials,
-    read_only,
-)
+from geokit.mesh.model.data import NOTHING, Data, Material, checked_data, checked_materials, read_only
 
 if TYPE_CHECKING:
     from geokit.mesh.model.device_mesh import DeviceArrays
@@ -39,7 +32,12 @@ __all__ = ["MeshPart", "TriangleMesh", "trusted_mesh"]
 
 
 class MeshPart(NamedTuple):
-    """A named range of faces, one for each body that was joined into the mesh."""
+    """A named range of faces, one for each body that was joined into the mesh.
+
+    Attributes:
+        name: The name of the body.
+        first_face, face_count: It has the faces from ``first_face`` to before ``first_face + face_count``.
+    """
 
     name: str
     first_face: int
@@ -252,7 +250,7 @@ class TriangleMesh:
 
     @needs(lambda self, *_, **__: 56 * self.vertex_count)
     def transform(self, matrix: ArrayLike) -> TriangleMesh:
-        """The mesh under an affine map; see :func:`geokit.mesh.transform`."""
+        """The mesh under an affine map ``matrix``, shape (4, 4); see :func:`geokit.mesh.transform`."""
         from geokit.mesh._transform import transform
 
         return transform(self, matrix)

@@ -30,8 +30,11 @@ BOUND_CORNERS = 512
 class SurfaceDistance(NamedTuple):
     """Least distance of two surfaces, and where it is.
 
-    distance [world]; point (3,) on the first surface and other_point (3,) on the other one [world]; triangle_id and
-    other_triangle_id, the triangles that they lie on.
+    Attributes:
+        distance: The least distance [world].
+        point: Where it is on the first surface [world], shape (3,).
+        other_point: Where it is on the other one [world], shape (3,).
+        triangle_id, other_triangle_id: The triangles that these lie on.
     """
 
     distance: float

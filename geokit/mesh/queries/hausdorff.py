@@ -55,7 +55,7 @@ class DistanceSearch:
 
     def measure(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
         """Distances of points of the mesh and their closest triangles; updates the largest distance found."""
-        found = self._surface.closest_point(points)
+        found: Any = self._surface.closest_point(points)
         if len(points):
             row = int(np.argmax(found.distance))
             if found.distance[row] > self.lower + self._rounding:

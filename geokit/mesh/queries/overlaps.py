@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from geokit.core import launcher
 from geokit.core.base.snapshot import snapshot
 from geokit.core.interop import user_arrays
-from geokit.core.interop.types import Rows
+from geokit.core.interop.types import Array, Rows
 from geokit.core.memory import available_memory
 from geokit.core.memory.needs import rows
 from geokit.core.memory.pinned import host_flags
@@ -35,10 +35,15 @@ WIDTH = 8
 
 
 class BoxOverlaps(NamedTuple):
-    """offsets (N + 1,), triangle_id (H,): box i has ``triangle_id[offsets[i]:offsets[i + 1]]``, ascending."""
+    """Triangles whose boxes overlap each of N boxes.
 
-    offsets: Any
-    triangle_id: Any
+    Attributes:
+        offsets: Box i has ``triangle_id[offsets[i]:offsets[i + 1]]``; shape (N + 1,) int64.
+        triangle_id: The triangles, ascending for each box; shape (H,) int32.
+    """
+
+    offsets: Array
+    triangle_id: Array
 
 
 class OverlapQueries:

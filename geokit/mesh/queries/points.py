@@ -15,7 +15,7 @@ from geokit.core.blocks.several_devices import LEAST_ON_GPUS
 from geokit.core.gradients.rules import untracked
 from geokit.core.interop import user_arrays
 from geokit.core.interop.arrays import import_array
-from geokit.core.interop.types import Rows
+from geokit.core.interop.types import Array, Rows
 from geokit.core.launches.late_checks import later
 from geokit.core.memory.needs import rows
 from geokit.core.memory.pinned import host_flags
@@ -41,23 +41,35 @@ QUERY_GROUP = 32
 
 
 class ClosestPoints(NamedTuple):
-    """points (N, 3) [world], distance (N,) [world], triangle_id (N,), barycentric (N, 3).
+    """The closest point of a surface for each query point.
 
     A miss has triangle_id -1, distance inf, and NaN elsewhere. Read fields by name: SignedDistances has another order.
+
+    Attributes:
+        points: The closest points [world], shape (N, 3).
+        distance: Distances to them [world], shape (N,).
+        triangle_id: Triangles that they lie on, shape (N,) int32.
+        barycentric: Weights of the triangles' corners there, shape (N, 3).
     """
 
-    points: Any
-    distance: Any
-    triangle_id: Any
-    barycentric: Any
+    points: Array
+    distance: Array
+    triangle_id: Array
+    barycentric: Array
 
 
 class FurthestPoints(NamedTuple):
-    """points (N, 3) [world], distance (N,) [world], triangle_id (N,); each point is a vertex of its triangle."""
+    """The furthest point of a surface for each query point: a vertex.
 
-    points: Any
-    distance: Any
-    triangle_id: Any
+    Attributes:
+        points: The furthest points [world], shape (N, 3).
+        distance: Distances to them [world], shape (N,).
+        triangle_id: Triangles that have them as vertices, shape (N,) int32.
+    """
+
+    points: Array
+    distance: Array
+    triangle_id: Array
 
 
 class PointQueries:
@@ -127,7 +139,7 @@ class PointQueries:
     )
     def sample_attributes(
         self, points: Rows, *, max_distance: float = math.inf, names: Sequence[str] | None = None
-    ) -> dict[str, NDArray[Any]]:
+    ) -> dict[str, np.ndarray]:
         """Attributes of the mesh at the closest point of each query point.
 
         Floats and colors on vertices and corners are interpolated by barycentric weights, in float64, and rounded once
@@ -205,13 +217,7 @@ class PointQueries:
         return found
 
     def _query(
-        self,
-        kernel: Any,
-        points: Rows,
-        inputs: list[Any],
-        outputs: list[Any],
-        group: int = 0,
-        flag: Any = None,
+        self, kernel: Any, points: Rows, inputs: list[Any], outputs: list[Any], group: int = 0, flag: Any = None
     ) -> None:
         """``flag`` is a further output that all queries share."""
         # The box that the order of queries resolves [world].

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from geokit.core import launcher
 from geokit.core.blocks.chunked_queries import Progress, in_chunks
 from geokit.core.interop import user_arrays
-from geokit.core.interop.types import Rows
+from geokit.core.interop.types import Array, Rows
 from geokit.core.launches.late_checks import later
 from geokit.core.memory.pinned import host_flags
 from geokit.core.query.ask import query
@@ -45,26 +45,33 @@ _Launch = tuple[Any, int, list[Any]]
 
 
 class RayHits(NamedTuple):
-    """t (N,) in units of the ray's direction, triangle_id (N,), barycentric (N, 3).
+    """The first hit of each ray. A miss has triangle_id -1, t inf, and NaN elsewhere.
 
-    A miss has triangle_id -1, t inf, and NaN elsewhere.
+    Attributes:
+        t: Where the rays hit, in units of their directions, shape (N,).
+        triangle_id: Triangles that they hit, shape (N,) int32.
+        barycentric: Weights of the triangles' corners there, shape (N, 3).
     """
 
-    t: Any
-    triangle_id: Any
-    barycentric: Any
+    t: Array
+    triangle_id: Array
+    barycentric: Array
 
 
 class RayHitLists(NamedTuple):
-    """All hits of each ray: ray i has rows ``offsets[i]`` to ``offsets[i + 1]`` of the other arrays, by ascending t.
+    """All hits of each ray.
 
-    offsets (N + 1,), t (H,) in units of the ray's direction, triangle_id (H,), barycentric (H, 3).
+    Attributes:
+        offsets: Ray i has rows ``offsets[i]`` to ``offsets[i + 1]`` of the others, by ascending t; shape (N + 1,).
+        t: Where the rays hit, in units of their directions, shape (H,).
+        triangle_id: Triangles that they hit, shape (H,) int32.
+        barycentric: Weights of the triangles' corners there, shape (H, 3).
     """
 
-    offsets: Any
-    t: Any
-    triangle_id: Any
-    barycentric: Any
+    offsets: Array
+    t: Array
+    triangle_id: Array
+    barycentric: Array
 
 
 class RayQueries:
@@ -208,7 +215,7 @@ class RayQueries:
         max_distance: float = math.inf,
         transform: ArrayLike | None = None,
         progress: Progress | None = None,
-    ) -> Any:
+    ) -> Array:
         """Number of crossings of each ray with the surface: the lengths of the lists of :meth:`raycast_all`.
 
         Args:
@@ -240,7 +247,7 @@ class RayQueries:
         max_distance: float = math.inf,
         transform: ArrayLike | None = None,
         progress: Progress | None = None,
-    ) -> Any:
+    ) -> Array:
         """True for rays that hit the surface; faster than :meth:`raycast`, because any hit ends the search.
 
         The answer always agrees with :meth:`raycast`.

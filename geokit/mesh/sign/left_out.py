@@ -60,6 +60,7 @@ def by_other_surface(surface: Any, method: str, points: "wp.array", distance: "w
     if method == "pseudonormal":
         found = surface._closest(points, reach, host_flags(1, surface._device))
     else:
-        found = ClosestPoints(None, user_arrays.full(len(points), 1.0, wp.float64, points), None, None)
+        nothing: Any = None
+        found = ClosestPoints(nothing, user_arrays.full(len(points), 1.0, wp.float64, points), nothing, nothing)
     surface._sign(method, points, found, reach)
     launcher.launch(take_sign_kernel, len(points), [found.distance], [distance], surface._device)

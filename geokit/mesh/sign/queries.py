@@ -14,7 +14,7 @@ from geokit.core import launcher
 from geokit.core.blocks.chunked_queries import Progress, in_chunks
 from geokit.core.blocks.several_devices import LEAST_ON_GPUS
 from geokit.core.interop import user_arrays
-from geokit.core.interop.types import Rows
+from geokit.core.interop.types import Array, Rows
 from geokit.core.launches.late_checks import later
 from geokit.core.memory.host_array import HostArray
 from geokit.core.memory.needs import rows
@@ -36,15 +36,19 @@ SIGN_METHODS = ("auto", "winding", "pseudonormal", "parity")
 
 
 class SignedDistances(NamedTuple):
-    """distance (N,) [world], negative inside; points (N, 3) [world], triangle_id (N,), barycentric (N, 3).
+    """The signed distance of each query point. Read fields by name: ClosestPoints begins with the points.
 
-    Read fields by name: ClosestPoints begins with the points.
+    Attributes:
+        distance: Distances from the surface [world], negative inside, shape (N,).
+        points: The closest points [world], shape (N, 3).
+        triangle_id: Triangles that they lie on, shape (N,) int32.
+        barycentric: Weights of the triangles' corners there, shape (N, 3).
     """
 
-    distance: Any
-    points: Any
-    triangle_id: Any
-    barycentric: Any
+    distance: Array
+    points: Array
+    triangle_id: Array
+    barycentric: Array
 
 
 def _sign_bytes(self: Any, points: Any, **_: Any) -> float:
@@ -159,13 +163,8 @@ class SignQueries(PointQueries):
 
     @query("points", is_replayed=True, is_stepped=True, least_rows=LEAST_ON_GPUS, memory=_sign_bytes)
     def contains(
-        self,
-        points: Rows,
-        *,
-        sign: str = "auto",
-        transform: ArrayLike | None = None,
-        progress: Progress | None = None,
-    ) -> Any:
+        self, points: Rows, *, sign: str = "auto", transform: ArrayLike | None = None, progress: Progress | None = None
+    ) -> Array:
         """True for points inside, by the same sign as :meth:`signed_distance`; points on the surface are outside.
 
         Args:
@@ -196,7 +195,8 @@ class SignQueries(PointQueries):
             if by_closest:
                 found = self._closest(batch.rows, math.inf, bad)
             else:
-                found = ClosestPoints(None, user_arrays.full(count, 1.0, wp.float64, batch.rows), None, None)
+                nothing: Any = None
+                found = ClosestPoints(nothing, user_arrays.full(count, 1.0, wp.float64, batch.rows), nothing, nothing)
             self._sign(method, batch.rows, found, math.inf)
             refuse_raised(bad, batch)
             if isinstance(found.distance, HostArray):  # a launch takes longer than this does for thousands of points
@@ -221,7 +221,7 @@ class SignQueries(PointQueries):
         as_given: bool = False,
         transform: ArrayLike | None = None,
         progress: Progress | None = None,
-    ) -> Any:
+    ) -> Array:
         """Generalized winding number: 1 inside a closed mesh, 0 outside, in between around holes.
 
         This is the number of the mesh wound as by :func:`geokit.mesh.orient` (``orientation`` says whether that flips
@@ -267,7 +267,7 @@ class SignQueries(PointQueries):
         least_rows=LEAST_ON_GPUS,
         memory=lambda self, points, **_: 100 * self.mesh.face_count + 40 * rows(points),
     )
-    def sign_confidence(self, points: Rows, *, transform: ArrayLike | None = None) -> Any:
+    def sign_confidence(self, points: Rows, *, transform: ArrayLike | None = None) -> Array:
         """Margin of the sign by winding number: the distance of the winding number from 1/2.
 
         1/2 or more where the winding number is a whole one; near 0 in the holes of an open mesh, where either sign may

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,7 +109,7 @@ def alike_near(
     for begin in range(0, len(points), BLOCK):
         block = np.arange(begin, min(begin + BLOCK, len(points)))
         around = distance[block, None]
-        near = original.overlapping(points[block] - around, points[block] + around)
+        near: Any = original.overlapping(points[block] - around, points[block] + around)
         row = np.repeat(np.arange(len(block)), np.diff(near.offsets))
         alike = _cosines(normals[block[row]], facing[near.triangle_id]) > 0.0
         yield block, row[alike], near.triangle_id[alike]

@@ -14,7 +14,7 @@ from geokit.core import launcher
 from geokit.core.base.object_cache import CacheAttribute
 from geokit.core.gradients.rules import hold, is_tracked, split
 from geokit.core.interop import user_arrays
-from geokit.core.interop.types import Device, Rows
+from geokit.core.interop.types import Array, Device, Rows
 from geokit.core.memory.host_array import HostArray
 from geokit.core.memory.needs import needs, rows
 from geokit.core.memory.pinned import host_flags
@@ -257,13 +257,8 @@ class Surfaces:
 
     @query("points", is_stepped=True, row_bytes=124, memory=_sign_bytes)
     def contains(
-        self,
-        points: Rows,
-        offsets: ArrayLike | None = None,
-        *,
-        sign: str = "auto",
-        transform: ArrayLike | None = None,
-    ) -> Any:
+        self, points: Rows, offsets: ArrayLike | None = None, *, sign: str = "auto", transform: ArrayLike | None = None
+    ) -> Array:
         """True for points inside their mesh; see :meth:`geokit.mesh.Surface.contains`.
 
         Args:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ __all__ = ["sample_attributes"]
 @needs(lambda mesh, volumes, **_: 40 * mesh.vertex_count * len(volumes))
 def sample_attributes(
     mesh: MeshLike, volumes: Mapping[str, SparseVolume], *, order: int | None = 1, device: Device = None
-) -> dict[str, NDArray[Any]]:
+) -> dict[str, NDArray[np.float64]]:
     """Sample volumes at the vertices of a mesh, such as the temperature on an isosurface of the density.
 
     Volumes may differ in transform, resolution and type. Values are those of ``volume.sample``, with its error bounds;

@@ -83,7 +83,7 @@ def _adjoint(asked: Asked, answer: Any, slopes: Any, wanted: list[str], arrays: 
     share = np.divide(_slope(kernel, size / radius), size, out=np.zeros_like(size), where=size > 0.0)
     pulls = (slopes[0][row] * mass[other] * share / radius**4)[:, None] * away
 
-    def added(rows: NDArray[Any], count: int) -> NDArray[np.float64]:
+    def added(rows: Any, count: int) -> NDArray[np.float64]:
         return np.stack([np.bincount(rows, pulls[:, axis], minlength=count) for axis in range(3)], axis=1)
 
     of_queries, of_points = added(row, len(queries)), -added(other, len(points))

@@ -10,14 +10,7 @@ import warp as wp
 
 from geokit.core.cpp import cpp
 from geokit.points.search.cells_kernels import MASK_BITS, CellGrid
-from geokit.points.search.neighbors_kernels import (
-    cells_around,
-    lowest_bit,
-    reach_of,
-    row_count,
-    row_range,
-    within_mask,
-)
+from geokit.points.search.neighbors_kernels import cells_around, lowest_bit, reach_of, row_count, row_range, within_mask
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 

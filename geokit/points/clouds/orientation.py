@@ -97,12 +97,7 @@ def propagate_signs(
 
 
 def _edges(
-    points: "wp.array",
-    normal: "wp.array",
-    reach: "wp.array",
-    neighbor: "wp.array",
-    bits: int,
-    device: "wp.Device",
+    points: "wp.array", normal: "wp.array", reach: "wp.array", neighbor: "wp.array", bits: int, device: "wp.Device"
 ) -> _Edges:
     import warp as wp
 

@@ -15,7 +15,7 @@ from geokit.core.base.forks import Lock
 from geokit.core.base.object_cache import CacheAttribute
 from geokit.core.blocks.several_devices import OnDevices, replicas, shows_arguments
 from geokit.core.gradients.rules import hold, split
-from geokit.core.interop.types import Devices, Rows
+from geokit.core.interop.types import Array, Devices, Rows
 from geokit.core.interop.user_arrays import LARGEST_MEASURED, Batch, read_vectors, require_finite
 from geokit.core.launches import replay
 from geokit.core.memory import available_memory
@@ -68,9 +68,9 @@ class Neighbors(NamedTuple):
         distance: Distances of the neighbors from the query [world]; shape (M,).
     """
 
-    offsets: Any
-    indices: Any
-    distance: Any
+    offsets: Array
+    indices: Array
+    distance: Array
 
 
 class NeighborList(NamedTuple):
@@ -84,10 +84,10 @@ class NeighborList(NamedTuple):
             shape (M, 3) int32.
     """
 
-    offsets: Any
-    indices: Any
-    distance: Any
-    shifts: Any
+    offsets: Array
+    indices: Array
+    distance: Array
+    shifts: Array
 
 
 class Candidates(NamedTuple):
@@ -100,13 +100,18 @@ class Candidates(NamedTuple):
             a grid that is not periodic.
     """
 
-    offsets: Any
-    indices: Any
-    shifts: Any
+    offsets: Array
+    indices: Array
+    shifts: Array | None
 
 
 class NeighborBlock(NamedTuple):
-    """Neighbors of consecutive queries, starting with query ``first``."""
+    """Neighbors of consecutive queries.
+
+    Attributes:
+        first: The first of these queries.
+        neighbors: Their neighbors.
+    """
 
     first: int
     neighbors: Neighbors
@@ -120,8 +125,8 @@ class Pairs(NamedTuple):
         distance: Distance between the two points [world]; shape (M,).
     """
 
-    indices: Any
-    distance: Any
+    indices: Array
+    distance: Array
 
 
 def _mean_count(grid: Any, queries: Any, radius: Any, groups: Any) -> float:
@@ -411,7 +416,7 @@ class NeighborGrid:
         radius: float | Rows | None = None,
         exclude_self: bool = False,
         groups: Rows | None = None,
-    ) -> Any:
+    ) -> Array:
         """Count the points within the radius of each query.
 
         Args:
@@ -924,14 +929,7 @@ class NeighborGrid:
         return search.fill(asked, counts, refuse, order=order, single=single)
 
     def _blocks(
-        self,
-        batch: Batch,
-        radii: Any,
-        exclude_self: bool,
-        order: str,
-        counts: np.ndarray,
-        budget: int,
-        group: Any,
+        self, batch: Batch, radii: Any, exclude_self: bool, order: str, counts: np.ndarray, budget: int, group: Any
     ) -> Iterator[NeighborBlock]:
         for begin, end in search.blocks_of(counts, budget):
             part = radii if np.ndim(radii) == 0 else radii[begin:end]

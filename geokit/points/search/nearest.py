@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.interop.types import Array
 from geokit.core.memory import available_memory
 from geokit.core.require import described, whole_number
 from geokit.errors import DeviceMemoryError, InputError
@@ -41,8 +42,8 @@ class KNearest(NamedTuple):
         indices: Indices of the points, -1 where there are fewer; shape (Q, k) int32.
     """
 
-    distance: Any
-    indices: Any
+    distance: Array
+    indices: Array
 
 
 def require_k(k: Any) -> int:

@@ -85,7 +85,7 @@ class Density:
         points = np.ascontiguousarray(around.records["points"])
         queries = points[around.own]
         found = density(points, queries=queries, **self._options, device=self._device)
-        yield around.records["row"][around.own], {"density": found}
+        yield around.records["row"][around.own], {"density": np.asarray(found)}
 
 
 def smaller(own: NDArray[Any], reach: float, name: str, most: int) -> list[NDArray[Any]]:

@@ -98,7 +98,7 @@ class CellLattice:
 
     def distances(self, index: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Exact signed distances (N,) and closest points (N, 3) [world] of index coordinates (N, 3)."""
-        found = self.surface.signed_distance(self.positions(index), sign=self.sign)
+        found: Any = self.surface.signed_distance(self.positions(index), sign=self.sign)
         return found.distance, found.points
 
 
@@ -287,7 +287,7 @@ def _crease_errors(
                 inputs = [_points_on(device, asked), *lookup, worst, most, *place]
                 launcher.launch(touched_kernel, len(asked), inputs, [touched], device)
                 asked = asked[touched.numpy() != 0]
-                exact = lattice.surface.signed_distance(asked, sign=lattice.sign).distance
+                exact = np.asarray(lattice.surface.signed_distance(asked, sign=lattice.sign).distance)
             # What is open is decided before, so that no answer depends on which thread comes first.
             inputs = [*_on(device, exact, asked)[::-1], *lookup, wp.clone(worst), open_from, *read, reach]
             launcher.launch(crease_kernel, len(asked), inputs, [worst], device)

@@ -43,7 +43,7 @@ def check_points(lattice: CellLattice, seed: int) -> CheckPoints:
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     length = lattice.within * np.maximum(random.uniform(-1.0, 1.0, len(on)), 0.0)
     points = on + directions * length[:, None]
-    distance = lattice.surface.signed_distance(points, sign=lattice.sign).distance
+    distance = np.asarray(lattice.surface.signed_distance(points, sign=lattice.sign).distance)
     # Rounding puts points at the zone's limit outside it; with a zone of no width, nearly all.
     kept = np.abs(distance) <= lattice.within + rounding_of(lattice.surface.bounds)
     return CheckPoints(points[kept], distance[kept])

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from geokit.core import launcher
 from geokit.core.base.query import FIRST_ALONE
-from geokit.core.interop.types import Devices, Rows
+from geokit.core.interop.types import Array, Devices, Rows
 from geokit.core.interop.user_arrays import read_vectors
 from geokit.core.query.ask import query
 from geokit.volume.model.sparse_volume import SparseVolume
@@ -18,7 +16,7 @@ __all__ = ["active_at"]
 
 # A point takes less time than its copy to another device.
 @query("points", is_replayed=True, is_stepped=True, least_rows=FIRST_ALONE, row_bytes=5)
-def active_at(volume: SparseVolume, points: Rows, *, space: str = "world", device: Devices = None) -> Any:
+def active_at(volume: SparseVolume, points: Rows, *, space: str = "world", device: Devices = None) -> Array:
     """Return whether the voxel nearest to each point is active.
 
     Halves round up in index space, as in sampling of order 0. A tile is active or inactive as a whole. Outside all

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from geokit.core import launcher
 from geokit.core.base.query import FIRST_ALONE
-from geokit.core.interop.types import Devices, Rows
+from geokit.core.interop.types import Array, Devices, Rows
 from geokit.core.interop.user_arrays import read_vectors
 from geokit.core.query.ask import query
 from geokit.core.require import described, whole_number
@@ -59,7 +59,7 @@ def sample(
     channel: int | str | None = None,
     transform: ArrayLike | None = None,
     device: Devices = None,
-) -> Any:
+) -> Array:
     """Interpolate a volume at each point.
 
     Order 0 takes the voxel with the nearest center (halves round up in index space). Order 1 interpolates the eight
@@ -150,7 +150,7 @@ def gradient(
     channel: int | str | None = None,
     transform: ArrayLike | None = None,
     device: Devices = None,
-) -> Any:
+) -> Array:
     """Gradient of a volume at each point.
 
     Orders 1, 2 and 3 give the exact gradient of the interpolant of :func:`sample`. At orders 1 and 2 it jumps between

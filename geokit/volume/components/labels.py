@@ -22,15 +22,7 @@ from geokit.volume.tree.typed_tree import Nodes, RootTiles, TypedTree
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = [
-    "CELL_SPANS",
-    "Labels",
-    "RowTable",
-    "Rows",
-    "active_rows",
-    "inside_rows",
-    "label_components",
-]
+__all__ = ["CELL_SPANS", "Labels", "RowTable", "Rows", "active_rows", "inside_rows", "label_components"]
 
 # Voxels along an edge of a cell: a voxel, and the tiles of lower nodes, upper nodes and the root.
 CELL_SPANS = (1, 8, 128, 4096)

@@ -69,13 +69,7 @@ def split_level_set(volume: SparseVolume, voxel_size: float, device: "wp.Device"
     component, leaf = rows.component[kept], np.flatnonzero(kept)
     active = np.bincount(rows.component, np.unpackbits(masks, axis=1).sum(axis=1), count)
     made = volumes_of(
-        tree,
-        component,
-        rows.origins[kept],
-        lambda part: (masks[leaf[part]], values[leaf[part]]),
-        tiles,
-        count,
-        volume,
+        tree, component, rows.origins[kept], lambda part: (masks[leaf[part]], values[leaf[part]]), tiles, count, volume
     )
     found = list(made)
     return [found[i] for i in np.argsort(-active, kind="stable")]

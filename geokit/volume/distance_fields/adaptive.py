@@ -15,7 +15,7 @@ from geokit.core import launcher
 from geokit.core.base.object_cache import CacheAttribute
 from geokit.core.gradients.differentiable import of_constants
 from geokit.core.interop import user_arrays
-from geokit.core.interop.types import Device, MeshLike, Rows
+from geokit.core.interop.types import Array, Device, MeshLike, Rows
 from geokit.core.memory.needs import file_size, needs
 from geokit.core.memory.pinned import host_flags
 from geokit.core.query.ask import query
@@ -145,7 +145,7 @@ class AdaptiveSDF:
         return self.levels[0].info.achieved_error_999
 
     @query("points", gradient="..sampling.gradients:ADAPTIVE", is_replayed=True, row_bytes=12)
-    def sample(self, points: Rows, *, device: Device = None) -> Any:
+    def sample(self, points: Rows, *, device: Device = None) -> Array:
         """Signed distance at each point, negative inside.
 
         The result is within the tolerance of the exact distance up to ``within`` from the surface. Farther out it is
@@ -162,7 +162,7 @@ class AdaptiveSDF:
         return self._answer(points, device, gradient=False)
 
     @query("points", is_replayed=True, row_bytes=28)
-    def gradient(self, points: Rows, *, device: Device = None) -> Any:
+    def gradient(self, points: Rows, *, device: Device = None) -> Array:
         """Gradient of the interpolant of :meth:`sample` at each point; next to the surface it is close to the normal.
 
         It is exact for the interpolant. It jumps between cells, at order 3 only between levels. Outside the box of
@@ -486,7 +486,7 @@ def _errors_of(
         moved = around + random.uniform(-1.0, 1.0, around.shape) * reach[:, None]
         if lattice.within < THIN * reach.max(initial=0.0):
             # Next to none would be in so thin a zone.
-            moved = lattice.surface.closest_point(moved).points
+            moved = np.asarray(lattice.surface.closest_point(moved).points)
             moved = moved + random.uniform(-1.0, 1.0, moved.shape) * (lattice.within / np.sqrt(3.0))
         exact = np.asarray(lattice.surface.signed_distance(moved, sign=lattice.sign).distance)
         kept = np.abs(exact) <= lattice.within + rounding_of(lattice.surface.bounds)

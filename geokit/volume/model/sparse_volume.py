@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from geokit.core.base.object_cache import CacheAttribute
 from geokit.core.interop.notebook import repr_html, show
-from geokit.core.interop.types import Device, Devices, Rows
+from geokit.core.interop.types import Array, Device, Devices, Rows
 from geokit.core.memory.needs import needs
 from geokit.core.require import described, require_instance
 from geokit.errors import InputError
@@ -87,8 +87,8 @@ class SparseVolume:
         channel: int | str | None = None,
         transform: ArrayLike | None = None,
         device: Devices = None,
-    ) -> Any:
-        """See :func:`geokit.volume.sample`."""
+    ) -> Array:
+        """Values at ``points`` [world] by interpolation of an ``order``; see :func:`geokit.volume.sample`."""
         from geokit.volume.at_points.sample import sample
 
         return sample(self, points, order=order, space=space, channel=channel, transform=transform, device=device)
@@ -102,26 +102,26 @@ class SparseVolume:
         channel: int | str | None = None,
         transform: ArrayLike | None = None,
         device: Devices = None,
-    ) -> Any:
-        """See :func:`geokit.volume.gradient`."""
+    ) -> Array:
+        """Gradients [value / world] at ``points`` [world]; see :func:`geokit.volume.gradient`."""
         from geokit.volume.at_points.sample import gradient
 
         return gradient(self, points, order=order, space=space, channel=channel, transform=transform, device=device)
 
-    def hessian(self, points: Rows, *, order: int = 3, space: str = "world", device: Devices = None) -> Any:
-        """See :func:`geokit.volume.hessian`."""
+    def hessian(self, points: Rows, *, order: int = 3, space: str = "world", device: Devices = None) -> Array:
+        """Second derivatives [value / world^2] at ``points`` [world]; see :func:`geokit.volume.hessian`."""
         from geokit.volume._curvature import hessian
 
         return hessian(self, points, order=order, space=space, device=device)
 
     def curvature(self, points: Rows, *, order: int = 3, device: Devices = None) -> Curvatures:
-        """See :func:`geokit.volume.curvature`."""
+        """Curvatures [1 / world] of the level sets through ``points`` [world]; see :func:`geokit.volume.curvature`."""
         from geokit.volume._curvature import curvature
 
         return curvature(self, points, order=order, device=device)
 
-    def active_at(self, points: Rows, *, space: str = "world", device: Devices = None) -> Any:
-        """See :func:`geokit.volume.active_at`."""
+    def active_at(self, points: Rows, *, space: str = "world", device: Devices = None) -> Array:
+        """Whether the voxel around each of ``points`` [world] is active; see :func:`geokit.volume.active_at`."""
         from geokit.volume.at_points.active import active_at
 
         return active_at(self, points, space=space, device=device)
@@ -129,7 +129,10 @@ class SparseVolume:
     def quantize(
         self, codec: str | None = None, *, tolerance: float | None = None, dither: bool = False
     ) -> SparseVolume:
-        """See :func:`geokit.volume.quantize`."""
+        """The volume in fewer bits a voxel, by a ``codec`` or within a ``tolerance`` [value].
+
+        Arguments and errors are those of :func:`geokit.volume.quantize`.
+        """
         from geokit.volume.retyped.quantize import quantize
 
         return quantize(self, codec, tolerance=tolerance, dither=dither)
@@ -138,11 +141,14 @@ class SparseVolume:
         self,
         *,
         bounds: ArrayLike | None = None,
-        dtype: Any = None,
+        dtype: DTypeLike | None = None,
         channel: int | str | None = None,
         device: Device = None,
     ) -> DenseGrid:
-        """See :func:`geokit.volume.to_dense`."""
+        """All voxels of a box as an array, ``bounds`` being its first and last voxel [index].
+
+        Arguments and errors are those of :func:`geokit.volume.to_dense`.
+        """
         from geokit.volume._dense import to_dense
 
         return to_dense(self, bounds=bounds, dtype=dtype, channel=channel, device=device)
@@ -158,7 +164,10 @@ class SparseVolume:
         transform: ArrayLike | None = None,
         device: Devices = None,
     ) -> VolumeHits:
-        """See :func:`geokit.volume.raycast`."""
+        """The first point of each ray where the value is ``isovalue``, within ``max_distance`` [world].
+
+        Arguments and errors are those of :func:`geokit.volume.raycast`.
+        """
         from geokit.volume._raycast import raycast
 
         limits = {"isovalue": isovalue, "t_min": t_min, "max_distance": max_distance}
@@ -175,7 +184,7 @@ class SparseVolume:
         max_distance: float = math.inf,
         device: Devices = None,
     ) -> Transmittance:
-        """See :func:`geokit.volume.integrate`."""
+        """Transmittance and emission along rays up to ``max_distance`` [world]; see :func:`geokit.volume.integrate`."""
         from geokit.volume._integrate import integrate
 
         limits = {"t_min": t_min, "max_distance": max_distance}

@@ -44,7 +44,7 @@ class GridInfo:
     active_voxel_count: int | None
     index_bounds: NDArray[np.int64] | None
     byte_count: int
-    metadata: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    metadata: Mapping[str, object] = field(default_factory=lambda: MappingProxyType({}))
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "metadata": dict(self.metadata)}  # a read-only view cannot be pickled

@@ -42,11 +42,7 @@ class Stencils(NamedTuple):
 
 
 def stencils_of(
-    zone: Zone,
-    points: NDArray[np.float64],
-    exact: NDArray[np.float64],
-    voxel_size: float,
-    highest_order: int,
+    zone: Zone, points: NDArray[np.float64], exact: NDArray[np.float64], voxel_size: float, highest_order: int
 ) -> Stencils:
     """Exact distances at all voxels that the interpolants at points use, for a grid with a voxel at 0.
 

@@ -283,11 +283,7 @@ class Search:
         return level
 
     def _errors(
-        self,
-        points: NDArray[np.float64],
-        exact: NDArray[np.float64],
-        voxel_size: float,
-        options: list[Option],
+        self, points: NDArray[np.float64], exact: NDArray[np.float64], voxel_size: float, options: list[Option]
     ) -> dict[Option, NDArray[np.float64]]:
         self._evaluations += 1
         if self.progress:
@@ -295,10 +291,7 @@ class Search:
         stencils = stencils_of(self.zone, points, exact, voxel_size, max(option.order for option in options))
         return {
             option: interpolation_errors(
-                stencils,
-                option.order,
-                self.width_of(option, voxel_size) * voxel_size,
-                self._step(option, voxel_size),
+                stencils, option.order, self.width_of(option, voxel_size) * voxel_size, self._step(option, voxel_size)
             )
             for option in options
         }

@@ -76,11 +76,7 @@ class DenseTiles:
         return values, masks
 
     def fill(
-        self,
-        leaves: NDArray[np.int64],
-        rows: NDArray[np.int64],
-        values: NDArray[np.float32],
-        masks: NDArray[np.uint8],
+        self, leaves: NDArray[np.int64], rows: NDArray[np.int64], values: NDArray[np.float32], masks: NDArray[np.uint8]
     ) -> None:
         """Write values and masks of the tiles with the given origins to rows of arrays like those of :meth:`contents`,
         whose rows may lie apart."""

@@ -11,12 +11,7 @@ from geokit.errors import InputError, UnsupportedGridError
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.checks import check_volume
 from geokit.volume.nanovdb.checksum import partial_checksum
-from geokit.volume.nanovdb.header import (
-    HEAD_SIZE,
-    grid_class_code,
-    grid_header,
-    voxel_size_of,
-)
+from geokit.volume.nanovdb.header import HEAD_SIZE, grid_class_code, grid_header, voxel_size_of
 from geokit.volume.nanovdb.layout import GRID_TYPES, LAYOUTS, GridLayout
 from geokit.volume.nanovdb.nodes import grid_nodes, set_bits
 from geokit.volume.nanovdb.types import QUANTIZED

@@ -51,11 +51,7 @@ def pruned(volume: SparseVolume, tolerance: float) -> SparseVolume:
 
 @needs(lambda volume, *_: 4400 * leaf_count(volume), name="prune")
 def _with_tiles(
-    volume: SparseVolume,
-    layout: GridLayout,
-    alike: NDArray[np.bool_],
-    full: NDArray[np.bool_],
-    tolerance: float,
+    volume: SparseVolume, layout: GridLayout, alike: NDArray[np.bool_], full: NDArray[np.bool_], tolerance: float
 ) -> SparseVolume:
     """The volume with tiles for the leaves that are alike; those of them that are full are active."""
     tree = tree_of(volume)
@@ -78,13 +74,7 @@ def _has_leaves_only(grid: GridNodes) -> bool:
 
 
 def _level(
-    tree: TypedTree,
-    nodes: Nodes,
-    tiles: RootTiles,
-    below: NDArray[np.int32],
-    width: int,
-    span: int,
-    tolerance: float,
+    tree: TypedTree, nodes: Nodes, tiles: RootTiles, below: NDArray[np.int32], width: int, span: int, tolerance: float
 ) -> tuple[Nodes, RootTiles]:
     """Put tiles into the nodes of a level; returns the nodes that remain, and those that have become tiles themselves.
 
