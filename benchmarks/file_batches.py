@@ -18,6 +18,7 @@ import numpy as np
 import geokit as gk
 from geokit import native
 from geokit.formats.table import FORMATS, extensions
+from geokit.native import _openvdb
 
 CORNERS = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])
 QUADS = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
@@ -53,7 +54,7 @@ def main() -> None:
         if native.available():
             path = Path(folder) / "a.vdb"
             gk.volume.save(path, gk.volume.from_mesh(BOX, 0.1, device="cpu"))
-            row(".vdb, one at a time", lambda: gk.volume.load(path), native.FIRST_FILES - 1)
+            row(".vdb, one at a time", lambda: gk.volume.load(path), _openvdb.FIRST_FILES - 1)
             row(".vdb", lambda: gk.volume.load(path), count)
             row(".vdb, trusted", lambda: gk.volume.load(path, trusted=True), count)
 

@@ -5,13 +5,7 @@ from __future__ import annotations
 from typing import Any, NoReturn
 
 from geokit.core.files import in_one_line
-from geokit.errors import (
-    DeviceMemoryError,
-    FileAccessError,
-    FileFormatError,
-    InputError,
-    UnsupportedGridError,
-)
+from geokit.errors import DeviceMemoryError, FileAccessError, FileFormatError, InputError, UnsupportedGridError
 
 __all__ = ["raise_failure"]
 

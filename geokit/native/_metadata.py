@@ -29,7 +29,12 @@ __all__ = ["FILE", "POINTS", "RawMetadata", "decode_grids", "decode_header", "en
 
 
 class RawMetadata(NamedTuple):
-    """A metadata value of a type that OpenVDB does not know, kept byte for byte."""
+    """A metadata value of a type that OpenVDB does not know, kept byte for byte.
+
+    Attributes:
+        type: OpenVDB's name of the type.
+        data: Its bytes.
+    """
 
     type: str
     data: bytes

@@ -22,8 +22,9 @@ from geokit._warn import warn
 from geokit.core.files import in_one_line
 from geokit.errors import InputError
 from geokit.formats.reader import process as reader_process
-from geokit.native import _call, _extension, _metadata
+from geokit.native import _metadata
 from geokit.native._failures import raise_failure
+from geokit.native._openvdb import _call, _extension
 from geokit.native._worker import warn_of_version
 
 __all__ = ["prepare", "read", "read_grids", "write"]

@@ -1,4 +1,4 @@
-// The Python interface of the bridge: arrays in, arrays out. Only geokit/native/__init__.py imports it.
+// The Python interface of the bridge: arrays in, arrays out. Only geokit/native/_openvdb.py and its workers import it.
 
 #include "bridge.h"
 #include "buffer.h"

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.native import _aligned, _call, _extension
+from geokit.native._openvdb import _aligned, _call, _extension
 
 __all__ = ["csg", "measure", "smooth", "smooth_csg"]
 

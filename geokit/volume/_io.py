@@ -469,11 +469,11 @@ def _from_nvdb(grid: file.NvdbGrid) -> SparseVolume:
 
 
 def _read_vdb(path: Path, grids: list[str] | None, trusted: bool, memory_limit: int | None) -> list[SparseVolume]:
-    from geokit import native
+    from geokit.native import _openvdb
 
     volumes = []
-    limit = native.WORKER_COPIES * content_limit(path.stat().st_size, memory_limit)
-    for grid in native._read_unchecked(path, grids=grids, trusted=trusted, memory_limit=limit):
+    limit = _openvdb.WORKER_COPIES * content_limit(path.stat().st_size, memory_limit)
+    for grid in _openvdb._read_unchecked(path, grids=grids, trusted=trusted, memory_limit=limit):
         # The worker's result for a damaged file may even lack a header.
         name = grid_name(grid.nanovdb) if len(grid.nanovdb) >= HEAD_SIZE else ""
         check_grid(grid.nanovdb, f"{path}: grid {name!r}")

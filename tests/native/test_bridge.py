@@ -20,7 +20,7 @@ from geokit.errors import (
     MissingDependencyError,
     UnsupportedGridError,
 )
-from geokit.native import RawMetadata, VdbGrid
+from geokit.native import RawMetadata, VdbGrid, _openvdb
 from geokit.volume.nanovdb.types import TYPES
 
 needs_openvdb = pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
@@ -779,7 +779,7 @@ def test_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
 def test_missing_extension_is_named() -> None:
     code = (
         "import sys; sys.modules['geokit.native._bridge'] = None\n"
-        "from geokit import native\n"
+        "from geokit import MissingDependencyError, native\n"
         "assert not native.available()\n"
         "calls = [native.require, native.versions, lambda: native.read_vdb(sys.executable),\n"
         "         lambda: native.inspect_vdb(sys.executable), lambda: native.write_vdb('a.vdb', []),\n"
@@ -787,7 +787,7 @@ def test_missing_extension_is_named() -> None:
         "for call in calls:\n"
         "    try:\n"
         "        call()\n"
-        "    except native.MissingDependencyError as error:\n"
+        "    except MissingDependencyError as error:\n"
         "        assert 'libopenvdb-dev' in str(error)\n"
         "    else:\n"
         "        raise SystemExit('no error')\n"
@@ -956,7 +956,7 @@ def test_small_files_of_a_batch_are_read_alike(tmp_path: Path, monkeypatch: pyte
     native.write_vdb(path, [VdbGrid(make_buffer("float"), METADATA), VdbGrid(make_buffer("vec3f"), {"name": "b"})])
     found = []
     for first in (sys.maxsize, 0):
-        monkeypatch.setattr(native, "FIRST_FILES", first)
+        monkeypatch.setattr(_openvdb, "FIRST_FILES", first)
         found.append([native.read_vdb(path), native.read_vdb(path, grids=["b"])])
         with pytest.raises(InputError, match=r"the file holds .*'b'"):
             native.read_vdb(path, grids=["c"])

@@ -19,7 +19,7 @@ import pytest
 
 from geokit import native
 from geokit.errors import FileAccessError, FileFormatError, UnsupportedGridError, WorkerError
-from geokit.native import VdbGrid, _worker
+from geokit.native import VdbGrid, _openvdb, _worker
 from tests.support.effort import of_all
 
 pytestmark = [
@@ -55,14 +55,14 @@ def samples(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
 @pytest.fixture(autouse=True)
 def program(monkeypatch: pytest.MonkeyPatch) -> None:
     """The worker program reads all files."""
-    monkeypatch.setattr(native, "FIRST_FILES", sys.maxsize)
+    monkeypatch.setattr(_openvdb, "FIRST_FILES", sys.maxsize)
 
 
 @pytest.fixture(params=["program", "server"])
 def either(program: None, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """The worker program reads all files, or a fork of the process that is kept for small ones does."""
     if request.param == "server":
-        monkeypatch.setattr(native, "FIRST_FILES", 0)
+        monkeypatch.setattr(_openvdb, "FIRST_FILES", 0)
 
 
 @pytest.fixture
@@ -231,7 +231,7 @@ def test_every_end_of_the_worker_has_a_name(
 ) -> None:
     path = tmp_path / "fine.vdb"
     path.write_bytes(samples["blosc"])
-    monkeypatch.setattr(native, "_worker_path", lambda: stub_worker(tmp_path, body))
+    monkeypatch.setattr(_openvdb, "_worker_path", lambda: stub_worker(tmp_path, body))
     start = time.monotonic()
     with pytest.raises(WorkerError if match == "SIGKILL" else FileFormatError, match=match):
         native.read_vdb(path, time_limit=1.5)
@@ -260,7 +260,7 @@ def test_cpu_limit_of_the_worker_itself(samples: dict[str, bytes], tmp_path: Pat
     """The worker does not outlive its limits when nobody watches it, and leaves no core file."""
     path = tmp_path / "fine.vdb"
     path.write_bytes(samples["blosc"])
-    worker = native._worker_path()
+    worker = _openvdb._worker_path()
     done = subprocess.run(
         [worker, "inspect", str(1 << 30), "0", path], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, timeout=30
     )
@@ -275,7 +275,7 @@ def test_full_spool_falls_back_and_then_is_named(
 ) -> None:
     path = tmp_path / "fine.vdb"
     path.write_bytes(samples["blosc"])
-    worker = native._worker_path()
+    worker = _openvdb._worker_path()
     full, roomy = tmp_path / "full", tmp_path / "roomy"
     full.mkdir()
     roomy.mkdir()
@@ -286,7 +286,7 @@ def test_full_spool_falls_back_and_then_is_named(
             sys.exit(1)
         os.execv({str(worker)!r}, [{str(worker)!r}] + sys.argv[1:])
     """
-    monkeypatch.setattr(native, "_worker_path", lambda: stub_worker(tmp_path, body))
+    monkeypatch.setattr(_openvdb, "_worker_path", lambda: stub_worker(tmp_path, body))
     monkeypatch.setattr(_worker, "spool_folders", lambda file_size: [str(full), str(roomy)])
     assert len(native.read_vdb(path)) == 2
     monkeypatch.setattr(_worker, "spool_folders", lambda file_size: [str(full)])

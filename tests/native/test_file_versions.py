@@ -16,6 +16,7 @@ import pytest
 import geokit as gk
 from geokit import native
 from geokit.cli import main
+from geokit.native import _openvdb
 from geokit.native._worker import LAST_VERSION
 
 pytestmark = pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
@@ -47,7 +48,7 @@ def nothing_said(capfd: pytest.CaptureFixture[str]) -> Iterator[None]:
 @pytest.fixture(params=["worker", "kept process", "trusted"])
 def load(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> dict[str, bool]:
     """How a file is read, as options."""
-    monkeypatch.setattr(native, "FIRST_FILES", 0 if request.param == "kept process" else sys.maxsize)
+    monkeypatch.setattr(_openvdb, "FIRST_FILES", 0 if request.param == "kept process" else sys.maxsize)
     return {"trusted": request.param == "trusted"}
 
 
@@ -113,7 +114,7 @@ def test_what_libraries_print_is_no_part_of_the_answer(field, tmp_path, monkeypa
     monkeypatch.setenv("BLOSC_PRINT_SHUFFLE_ACCEL", "1")
     path = tmp_path / "a.vdb"
     gk.volume.save(path, field, codec="blosc")
-    command = [native._worker_path(), "read", str(1 << 30), "60", path, tmp_path]
+    command = [_openvdb._worker_path(), "read", str(1 << 30), "60", path, tmp_path]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert done.stdout.startswith('{"grids"')
     assert done.stdout.count("\n") == 1

@@ -12,6 +12,7 @@ import geokit as gk
 from geokit import native
 from geokit.cli import main
 from geokit.errors import FileFormatError, InputError, MissingDependencyError, UnsupportedGridError
+from geokit.native import _openvdb
 
 pytestmark = pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
 
@@ -151,7 +152,7 @@ def test_refusals(tmp_path, monkeypatch):
     with pytest.raises(InputError, match="grid"):
         gk.points.load(FOREIGN, grid=7)
     assert not (tmp_path / "a.vdb").exists()
-    monkeypatch.setattr(native, "_load", lambda: (None, "not built"))
+    monkeypatch.setattr(_openvdb, "_load", lambda: (None, "not built"))
     with pytest.raises(MissingDependencyError, match="without OpenVDB"):
         gk.points.load(FOREIGN, grid="foam")
     with pytest.raises(MissingDependencyError, match="without OpenVDB"):

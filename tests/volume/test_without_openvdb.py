@@ -10,6 +10,7 @@ import pytest
 import geokit as gk
 from geokit import native
 from geokit.errors import MissingDependencyError
+from geokit.native import _openvdb
 from geokit.volume._resample import resampled
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.checks import check_grid
@@ -30,7 +31,7 @@ DTYPES = {"float": np.float32, "double": np.float64}
 
 @pytest.fixture(autouse=True)
 def without_openvdb(monkeypatch):
-    monkeypatch.setattr(native, "_load", lambda: (None, "not built"))
+    monkeypatch.setattr(_openvdb, "_load", lambda: (None, "not built"))
     with pytest.raises(MissingDependencyError):
         native.require()
 

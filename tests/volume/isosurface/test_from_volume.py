@@ -15,6 +15,7 @@ from geokit.errors import DeviceMemoryError, InputError, MissingDependencyError,
 from geokit.mesh._audit import audit
 from geokit.mesh._hausdorff import hausdorff
 from geokit.mesh.volumes.from_volume import _split_quads, from_volume, from_volume_with_deviation
+from geokit.native import _openvdb
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import TREE_OFFSET, aligned_buffer, info_of, tree_header
 from geokit.volume.nanovdb.layout import layout_of
@@ -538,7 +539,7 @@ class TestRefusals:
             from_volume(SparseVolume(volume.nanovdb, info))
 
     def test_without_openvdb(self, monkeypatch):
-        monkeypatch.setattr(native, "_load", lambda: (None, "not built"))
+        monkeypatch.setattr(_openvdb, "_load", lambda: (None, "not built"))
         with pytest.raises(MissingDependencyError, match="libopenvdb-dev"):
             from_volume(_grid(_ball), method="openvdb")
 

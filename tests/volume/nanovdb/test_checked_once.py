@@ -13,6 +13,7 @@ from benchmarks.catalog.sphere_volumes import sphere
 from benchmarks.catalog.typed_grids import TypedGrid
 from geokit import native
 from geokit.errors import FileFormatError, GeokitError, InputError
+from geokit.native import _openvdb
 from geokit.volume import load, save
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb import checks
@@ -35,7 +36,7 @@ def checked(monkeypatch):
 
     monkeypatch.setattr(checks, "_check_root", counted)
     if native.available():
-        extension = native._extension()
+        extension = _openvdb._extension()
         check = extension.check
 
         def counted_check(buffer):
@@ -101,14 +102,14 @@ def test_whoever_reads_through_the_bridge_gets_checked_buffers(tmp_path, checked
 def test_what_a_subverted_worker_hands_back_is_refused(tmp_path, monkeypatch, harm):
     path = tmp_path / "sphere.vdb"
     save(path, sphere(12.0))
-    unchecked = native._read_in_worker
+    unchecked = _openvdb._read_in_worker
 
     def harmed(*arguments):
         descriptions, (buffer,) = unchecked(*arguments)
         buffer = damaged(buffer, harm)
         return descriptions, [buffer]
 
-    monkeypatch.setattr(native, "_read_in_worker", harmed)
+    monkeypatch.setattr(_openvdb, "_read_in_worker", harmed)
     with pytest.raises(FileFormatError, match=r"sphere\.vdb"):
         load(path)
 
