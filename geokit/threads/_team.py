@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from geokit.core import launcher
 from geokit.core.base.forks import renew_after_fork
@@ -13,9 +13,6 @@ from geokit.core.launches import warp_private
 from geokit.core.require import require_callable, require_count, require_instance, require_items
 from geokit.core.running.thread_placement import Pool
 from geokit.errors import InputError
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["Team"]
 
@@ -73,9 +70,7 @@ class Team:
         self._first = Pool(1, "geokit-team")
         self._others = ThreadPoolExecutor(max(1, self.threads - 1), thread_name_prefix="geokit-team")
 
-    def record(
-        self, kernel: "wp.Kernel | Callable[..., object]", count: int, inputs: Sequence[object], *, block: int = BLOCK
-    ) -> Callable[[], None]:
+    def record(self, kernel: Any, count: int, inputs: Sequence[object], *, block: int = BLOCK) -> Callable[[], None]:
         """Prepare a launch that is made many times.
 
         Args:
@@ -127,9 +122,7 @@ class Team:
 
         return run
 
-    def run(
-        self, kernel: "wp.Kernel | Callable[..., object]", count: int, inputs: Sequence[object], *, block: int = BLOCK
-    ) -> None:
+    def run(self, kernel: Any, count: int, inputs: Sequence[object], *, block: int = BLOCK) -> None:
         """Launch a kernel once. The arguments are those of :meth:`record`.
 
         Args:

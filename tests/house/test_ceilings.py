@@ -33,7 +33,7 @@ CEILINGS = {
     "files in volume/tree": 40,
     "folders in knots": 0,
     "files in import circles": 33,
-    "public arguments with Any": 23,
+    "public arguments with Any": 25,
     "public returns with Any": 1,
     "public fields with Any": 2,
 }
