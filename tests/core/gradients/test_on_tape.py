@@ -334,43 +334,54 @@ def test_types_of_arrays(name: str, dtype: Any, device: str) -> None:
             np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5)
 
 
+@pytest.mark.parametrize("dtype", [wp.vec3f, wp.vec3d])
 @pytest.mark.parametrize("device", DEVICES)
-def test_points_alone_stay_on_their_device(device: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_has_a_kernel_stays_on_its_device(device: str, dtype: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     from geokit.core.gradients import on_tape as module
 
     def fail(*_: Any) -> None:
         raise AssertionError("on the host")
 
     monkeypatch.setattr(module, "pulled", fail)
-    body, points = gk.mesh.Surface(BODY, device=device), on_tape(AROUND, wp.vec3d, device)
+    vertices, points, ways, both = (on_tape(rows, dtype, device) for rows in (BODY.vertices, AROUND, -AROUND, PACKED))
+    body = gk.mesh.Surface((vertices, BODY.faces), device=device)
+    many = gk.mesh.Surfaces((both, TWICE, BEGIN), device=device)
     with wp.Tape() as tape:
-        answers = [body.closest_point(points).distance, body.signed_distance(points).distance]
+        answers = [body.closest_point(points).distance, body.signed_distance(points).points]
+        answers += [body.raycast(points, ways).t, many.closest_point(points, HALVES).barycentric]
         answers.append(ball().sample(points, device=device))
     pulled(tape, answers, weights_of(answers))
-    assert points.grad.numpy().any(axis=1).all()
+    for array in (vertices, points, ways, both):
+        assert array.grad.numpy().any(axis=1).sum() > 0.8 * min(len(array), len(points))
 
 
 @pytest.mark.parametrize("query", ["closest_point", "signed_distance"])
 @pytest.mark.parametrize("outputs", [["distance"], ["distance", "points", "barycentric"]])
-def test_kernels_agree_with_the_rule_at_kinks(query: str, outputs: list[str]) -> None:
+def test_kernels_agree_with_the_rule_at_kinks(query: str, outputs: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """Far and near, on faces, edges and vertices, at distance 0, and beside a triangle without area."""
+    from geokit.core.gradients import on_tape as module
+
     flat = np.concatenate([BODY.faces, [[0, 1, 1], [2, 2, 2]]])
     body = gk.mesh.Surface((BODY.vertices, flat), device="cpu")
     found = body.closest_point(AROUND)
     away = (AROUND - found.points) / found.distance[:, None]
     centers = BODY.vertices[BODY.faces].mean(axis=1)
     rows = np.concatenate([AROUND, found.points + 1e-9 * away, centers, BODY.vertices, 1.5 * BODY.vertices])
-    slopes = []
-    for vertices in (BODY.vertices, on_tape(BODY.vertices)):
-        points = on_tape(rows)
+
+    def slopes() -> tuple[np.ndarray, np.ndarray]:
+        points, vertices = on_tape(rows), on_tape(BODY.vertices)
         with wp.Tape() as tape:
             answer = getattr(gk.mesh.Surface((vertices, flat), device="cpu"), query)(points)
         some = [getattr(answer, name) for name in outputs]
         pulled(tape, some, weights_of(some))
-        slopes.append(points.grad.numpy())
-    assert np.isfinite(slopes[0]).all()
-    # Directions between points that are 1e-9 apart are known to 1e-6.
-    np.testing.assert_allclose(slopes[0], slopes[1], rtol=0.0, atol=1e-5)
+        return points.grad.numpy(), vertices.grad.numpy()
+
+    by_kernel = slopes()
+    monkeypatch.setattr(module, "pulled_by_kernel", lambda *_: None)
+    for found_slopes, expected in zip(by_kernel, slopes(), strict=True):
+        assert np.isfinite(found_slopes).all()
+        # Directions between points that are 1e-9 apart are known to 1e-6.
+        np.testing.assert_allclose(found_slopes, expected, rtol=0.0, atol=1e-5)
 
 
 def test_parts_of_arrays_and_arrays_that_are_given_twice() -> None:
