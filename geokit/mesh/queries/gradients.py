@@ -243,7 +243,8 @@ def _owners(surface: Any, offsets: Any, lead: tuple[int, ...], device: Any) -> A
 def _owner(surfaces: Any, offsets: Any, lead: tuple[int, ...]) -> NDArray[np.int64]:
     """The mesh of each row that many surfaces are asked."""
     bounds = np.arange(len(surfaces) + 1) * lead[-1] if offsets is None else user_arrays.read_numbers(offsets, "")
-    return np.repeat(np.arange(len(surfaces)), np.diff(np.asarray(bounds, np.int64)))
+    where: NDArray[np.int64] = np.asarray(bounds, np.int64)
+    return np.repeat(np.arange(len(surfaces)), where[1:] - where[:-1])
 
 
 def _raycast(library: Library, asked: Asked, answer: Any) -> tuple[Any, ...]:
