@@ -15,13 +15,14 @@ from geokit.accuracy.stability.mesh_questions import (
     judged,
     on_gpu,
     powers,
+    size_sweeps,
     surface_of,
     turned,
     unit_sized,
     unit_vectors,
 )
 from geokit.accuracy.stability.shapes import moved, rotated, scaled, sliver_fan, thin_plate, torus
-from geokit.accuracy.trials.model import Envelope, Judgement, Sweep
+from geokit.accuracy.trials.model import Judgement, Sweep, make_sweep
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = ["distance_sweeps"]
@@ -152,60 +153,37 @@ def distance_sweeps(device: Any) -> list[Sweep]:
 def _closest_sweeps(device: Any) -> list[Sweep]:
     method, unit = "mesh.Surface.closest_point", "sizes of the mesh"
     return [
-        Sweep(
+        make_sweep(
             "closest_point_origin",
             method,
             "distance from the origin [sizes of the mesh]",
             unit,
             powers(0, 13),
             partial(_closest_at, device=device),
-            Envelope(
-                1e8,
-                1e-6,
-                0.0,
-                "Closest points have an error of at most 1e-6 of the mesh's size up to 1e8 sizes from the origin; "
-                "farther away float64 coordinates themselves are coarser.",
-            ),
+            last=1e8,
+            error=1e-6,
+            statement="Closest points have an error of at most 1e-6 of the mesh's size up to 1e8 sizes from the "
+            "origin; farther away float64 coordinates themselves are coarser.",
         ),
-        Sweep(
-            "closest_point_large",
+        *size_sweeps(
+            "closest_point",
             method,
-            "size of the mesh [world]",
-            unit,
             (*powers(0, 70, 10), 1e74, *powers(80, 90, 10)),
-            partial(_closest_sized, device=device),
-            Envelope(
-                1e70, 1e-14, 0.0, "Distances have an error of at most 1e-14 of the mesh's size for sizes up to 1e70."
-            ),
-        ),
-        Sweep(
-            "closest_point_small",
-            method,
-            "size of the mesh [world]",
-            unit,
             (*powers(0, -70, -10), 1e-74, *powers(-80, -90, -10)),
             partial(_closest_sized, device=device),
-            Envelope(
-                1e-70,
-                1e-14,
-                0.0,
-                "Distances have an error of at most 1e-14 of the mesh's size for sizes down to 1e-70.",
-            ),
+            "Distances have",
         ),
-        Sweep(
+        make_sweep(
             "closest_point_slivers",
             method,
             "longest edge of the triangles over their height",
             unit,
             powers(1, 13),
             partial(_closest_on_slivers, device=device),
-            Envelope(
-                1e13,
-                1e-12,
-                0.0,
-                "Distances have an error of at most 1e-12 of the mesh's size on slivers of any aspect ratio: no "
-                "failure found.",
-            ),
+            last=1e13,
+            error=1e-12,
+            statement="Distances have an error of at most 1e-12 of the mesh's size on slivers of any aspect ratio: no "
+            "failure found.",
         ),
     ]
 
@@ -213,77 +191,48 @@ def _closest_sweeps(device: Any) -> list[Sweep]:
 def _signed_sweeps(device: Any) -> list[Sweep]:
     method, unit = "mesh.Surface.signed_distance", "sizes of the mesh"
     return [
-        Sweep(
+        make_sweep(
             "signed_distance_origin",
             method,
             "distance from the origin [sizes of the mesh]",
             unit,
             powers(0, 14),
             partial(_signed_at, device=device),
-            Envelope(
-                1e9,
-                1e-6,
-                0.0,
-                "Distances have an error of at most 1e-6 of the mesh's size, and signs are right for points 1e-5 "
-                "sizes from the surface, up to 1e9 sizes from the origin.",
-            ),
+            last=1e9,
+            error=1e-6,
+            statement="Distances have an error of at most 1e-6 of the mesh's size, and signs are right for points "
+            "1e-5 sizes from the surface, up to 1e9 sizes from the origin.",
         ),
-        Sweep(
-            "signed_distance_large",
+        *size_sweeps(
+            "signed_distance",
             method,
-            "size of the mesh [world]",
-            unit,
             (*powers(0, 70, 10), *powers(80, 90, 10)),
-            partial(_signed_sized, device=device),
-            Envelope(
-                1e70,
-                1e-14,
-                0.0,
-                "Signed distances have an error of at most 1e-14 of the mesh's size for sizes up to 1e70.",
-            ),
-        ),
-        Sweep(
-            "signed_distance_small",
-            method,
-            "size of the mesh [world]",
-            unit,
             (*powers(0, -70, -10), *powers(-80, -90, -10)),
             partial(_signed_sized, device=device),
-            Envelope(
-                1e-70,
-                1e-14,
-                0.0,
-                "Signed distances have an error of at most 1e-14 of the mesh's size for sizes down to 1e-70.",
-            ),
+            "Signed distances have",
         ),
-        Sweep(
+        make_sweep(
             "signed_distance_afar",
             method,
             "distance of the queries [sizes of the mesh]",
             "relative",
             (*powers(0, 8, 4), 1e16, *powers(40, 120, 40), 1e150, 1e160),
             partial(_signed_from_afar, device=device),
-            Envelope(
-                1e150,
-                4e-15,
-                0.0,
-                "Distances have a relative error of at most 4e-15, and points outside have the right sign, up to "
-                "1e150 from the mesh.",
-            ),
+            last=1e150,
+            error=4e-15,
+            statement="Distances have a relative error of at most 4e-15, and points outside have the right sign, up "
+            "to 1e150 from the mesh.",
         ),
-        Sweep(
+        make_sweep(
             "signed_distance_thin_walls",
             method,
             "thickness of a plate [its length]",
             "lengths of the plate",
             powers(-1, -17, -1),
             partial(_signed_within, device=device),
-            Envelope(
-                1e-11 if on_gpu(device) else 1e-14,
-                4e-15,
-                0.0,
-                "The two sides of a wall are distinguished down to a thickness of 1e-14 of the mesh's size, on a GPU "
-                "of 1e-11.",
-            ),
+            last=1e-11 if on_gpu(device) else 1e-14,
+            error=4e-15,
+            statement="The two sides of a wall are distinguished down to a thickness of 1e-14 of the mesh's size, on "
+            "a GPU of 1e-11.",
         ),
     ]

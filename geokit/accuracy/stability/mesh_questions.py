@@ -1,14 +1,15 @@
-"""Helpers shared by the sweeps of meshes: query points, rotations, and judgements."""
+"""Helpers shared by the sweeps of meshes: query points, rotations, judgements, and the sweeps of size."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.accuracy.stability.shapes import rotation, scaled
-from geokit.accuracy.trials.model import Judgement
+from geokit.accuracy.trials.model import Judgement, Sweep, make_sweep
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 if TYPE_CHECKING:
@@ -20,6 +21,7 @@ __all__ = [
     "judged",
     "on_gpu",
     "powers",
+    "size_sweeps",
     "surface_of",
     "turned",
     "unit_sized",
@@ -33,6 +35,31 @@ OBLIQUE = np.array([2.0, -1.0, 2.0]) / 3.0
 def powers(first: int, last: int, step: int = 1) -> tuple[float, ...]:
     """Powers of ten, with both ends if the step reaches the last."""
     return tuple(float(f"1e{k}") for k in range(first, last + (1 if step > 0 else -1), step))
+
+
+def size_sweeps(
+    name: str,
+    method: str,
+    large: tuple[float, ...],
+    small: tuple[float, ...],
+    ask: Callable[[float], Judgement],
+    subject: str,
+) -> list[Sweep]:
+    """Sweeps towards large and small meshes; the ``subject``, as in "Hits have", keeps its digits up to 1e70."""
+    return [
+        make_sweep(
+            f"{name}_{end}",
+            method,
+            "size of the mesh [world]",
+            "sizes of the mesh",
+            values,
+            ask,
+            last=last,
+            error=1e-14,
+            statement=f"{subject} an error of at most 1e-14 of the mesh's size for sizes {reach}.",
+        )
+        for end, values, last, reach in (("large", large, 1e70, "up to 1e70"), ("small", small, 1e-70, "down to 1e-70"))
+    ]
 
 
 def judged(errors: Any, wrong: Any, positions: NDArray[np.float64] | None = None) -> Judgement:

@@ -13,13 +13,14 @@ from geokit.accuracy.stability.mesh_questions import (
     OBLIQUE,
     judged,
     powers,
+    size_sweeps,
     surface_of,
     turned,
     unit_sized,
     unit_vectors,
 )
 from geokit.accuracy.stability.shapes import box, icosphere, moved, rotated, scaled, sliver_fan
-from geokit.accuracy.trials.model import Envelope, Judgement, Sweep
+from geokit.accuracy.trials.model import Judgement, Sweep, make_sweep
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = ["ray_sweeps"]
@@ -159,51 +160,36 @@ def ray_sweeps(device: Any) -> list[Sweep]:
 def _placed_sweeps(device: Any) -> list[Sweep]:
     method, unit = "mesh.Surface.raycast", "sizes of the mesh"
     return [
-        Sweep(
+        make_sweep(
             "raycast_origin",
             method,
             "distance from the origin [sizes of the mesh]",
             unit,
             powers(0, 13),
             partial(_hits_at, device=device),
-            Envelope(
-                1e9, 1e-6, 0.0, "Hits have an error of at most 1e-6 of the mesh's size up to 1e9 sizes from the origin."
-            ),
+            last=1e9,
+            error=1e-6,
+            statement="Hits have an error of at most 1e-6 of the mesh's size up to 1e9 sizes from the origin.",
         ),
-        Sweep(
-            "raycast_large",
+        *size_sweeps(
+            "raycast",
             method,
-            "size of the mesh [world]",
-            unit,
             (*powers(0, 60, 15), *powers(70, 120, 10)),
-            partial(_hits_sized, device=device),
-            Envelope(1e70, 1e-14, 0.0, "Hits have an error of at most 1e-14 of the mesh's size for sizes up to 1e70."),
-        ),
-        Sweep(
-            "raycast_small",
-            method,
-            "size of the mesh [world]",
-            unit,
             (*powers(0, -60, -15), *powers(-70, -120, -10)),
             partial(_hits_sized, device=device),
-            Envelope(
-                1e-70, 1e-14, 0.0, "Hits have an error of at most 1e-14 of the mesh's size for sizes down to 1e-70."
-            ),
+            "Hits have",
         ),
-        Sweep(
+        make_sweep(
             "raycast_afar",
             method,
             "distance of the starts [sizes of the mesh]",
             unit,
             powers(0, 13),
             partial(_hits_from_afar, device=device),
-            Envelope(
-                1e8,
-                1e-6,
-                0.0,
-                "Rays that start up to 1e8 sizes away hit their targets, within 1e-6 of the mesh's size; from 1e12 "
-                "sizes they may miss the mesh.",
-            ),
+            last=1e8,
+            error=1e-6,
+            statement="Rays that start up to 1e8 sizes away hit their targets, within 1e-6 of the mesh's size; from "
+            "1e12 sizes they may miss the mesh.",
         ),
     ]
 
@@ -213,76 +199,63 @@ def _aimed_sweeps(device: Any) -> list[Sweep]:
     # From far beside an edge to exactly at it: the last offsets are lost when they are added.
     offsets = (*powers(-2, -18, -2), 1e-30)
     return [
-        Sweep(
+        make_sweep(
             "raycast_slivers",
             method,
             "longest edge of the triangles over their height",
             "lengths of the ray",
             powers(1, 17),
             partial(_hits_on_slivers, device=device),
-            Envelope(
-                1e15,
-                1e-14,
-                0.0,
-                "Slivers are hit at the t of their planes, until rounding of their corners opens gaps between them.",
-            ),
+            last=1e15,
+            error=1e-14,
+            statement="Slivers are hit at the t of their planes, until rounding of their corners opens gaps between "
+            "them.",
         ),
-        Sweep(
+        make_sweep(
             "raycast_edges",
             method,
             "distance from the edge or vertex aimed at [radii of the sphere]",
             "lengths of the ray",
             offsets,
             partial(_hits_beside_edges, device=device),
-            Envelope(
-                offsets[-1],
-                1e-14,
-                0.0,
-                "No ray from inside a closed mesh leaks, however close to an edge or a vertex it is aimed: no "
-                "failure found.",
-            ),
+            last=offsets[-1],
+            error=1e-14,
+            statement="No ray from inside a closed mesh leaks, however close to an edge or a vertex it is aimed: no "
+            "failure found.",
         ),
-        Sweep(
+        make_sweep(
             "crossing_count_edges",
             "mesh.Surface.crossing_count",
             "distance from the edge or vertex aimed at [radii of the sphere]",
             "lengths of the ray",
             offsets,
             partial(_crossings_beside_edges, device=device),
-            Envelope(
-                offsets[-1],
-                0.0,
-                0.0,
-                "A ray through an edge or a vertex counts one crossing, however exactly it is aimed: no failure found.",
-            ),
+            last=offsets[-1],
+            error=0.0,
+            statement="A ray through an edge or a vertex counts one crossing, however exactly it is aimed: no failure "
+            "found.",
         ),
-        Sweep(
+        make_sweep(
             "raycast_grazing",
             method,
             "angle between ray and face [radians]",
             "edges of the box",
             (1.5, *powers(-1, -17, -1)),
             partial(_grazing_hits, device=device),
-            Envelope(
-                1e-9,
-                1e-6,
-                0.0,
-                "t has an error of at most 1e-15 of the mesh's size over the sine of the angle between ray and face, "
-                "1e-6 at 1e-9 radians; no hit is missed down to 1e-15 radians.",
-            ),
+            last=1e-9,
+            error=1e-6,
+            statement="t has an error of at most 1e-15 of the mesh's size over the sine of the angle between ray and "
+            "face, 1e-6 at 1e-9 radians; no hit is missed down to 1e-15 radians.",
         ),
-        Sweep(
+        make_sweep(
             "raycast_t_min",
             method,
             "t_min [edges of the box]",
             "edges of the box",
             powers(-1, -18, -1),
             partial(_hits_past_the_start, device=device),
-            Envelope(
-                1e-13,
-                0.0,
-                0.0,
-                "Rays that start at a hit skip the face they start on with a t_min of 1e-13 of the mesh's size.",
-            ),
+            last=1e-13,
+            error=0.0,
+            statement="Rays that start at a hit skip the face they start on with a t_min of 1e-13 of the mesh's size.",
         ),
     ]

@@ -19,7 +19,7 @@ from geokit.accuracy.stability.shapes import (
     sliver_fan,
     without_cap,
 )
-from geokit.accuracy.trials.model import Envelope, Judgement, Sweep
+from geokit.accuracy.trials.model import Judgement, Sweep, make_sweep
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = ["repair_sweeps"]
@@ -125,35 +125,29 @@ def repair_sweeps(device: Any) -> list[Sweep]:
 def _hausdorff_sweeps(device: Any) -> list[Sweep]:
     unit = "diagonals"
     return [
-        Sweep(
+        make_sweep(
             "hausdorff_tolerance",
             "mesh.hausdorff",
             "tolerance [diagonals]",
             unit,
             powers(-1, -15, -2),
             partial(_hausdorff_bounds, device=device),
-            Envelope(
-                1e-11,
-                lambda tolerance: tolerance + 1e-12,
-                0.0,
-                "The bounds contain the Hausdorff distance and are at most the tolerance apart, down to 1e-11 "
-                "diagonals.",
-            ),
+            last=1e-11,
+            error=lambda tolerance: tolerance + 1e-12,
+            statement="The bounds contain the Hausdorff distance and are at most the tolerance apart, down to 1e-11 "
+            "diagonals.",
         ),
-        Sweep(
+        make_sweep(
             "hausdorff_origin",
             "mesh.hausdorff",
             "distance from the origin [diagonals]",
             unit,
             powers(0, 12, 2),
             partial(_hausdorff_at, device=device),
-            Envelope(
-                1e8,
-                4e-6,
-                0.0,
-                "Bounds requested to 1e-7 diagonals are at most 4e-6 diagonals apart up to 1e8 diagonals from the "
-                "origin: they are never closer than 32 roundings of the coordinates.",
-            ),
+            last=1e8,
+            error=4e-6,
+            statement="Bounds requested to 1e-7 diagonals are at most 4e-6 diagonals apart up to 1e8 diagonals from "
+            "the origin: they are never closer than 32 roundings of the coordinates.",
         ),
     ]
 
@@ -161,71 +155,59 @@ def _hausdorff_sweeps(device: Any) -> list[Sweep]:
 def _orient_sweeps() -> list[Sweep]:
     method, parameter = "mesh.orient", "share of the faces that are flipped"
     return [
-        Sweep(
+        make_sweep(
             "orient_open",
             method,
             parameter,
             "none",
             (0.1, 0.2, 0.3, 0.4, 0.45, 0.5, 0.55, 0.6),
             _oriented_bowl,
-            Envelope(
-                0.45,
-                0.0,
-                0.0,
-                "Open components are oriented like the majority of their faces: right while fewer than half were "
-                "flipped.",
-            ),
+            last=0.45,
+            error=0.0,
+            statement="Open components are oriented like the majority of their faces: right while fewer than half "
+            "were flipped.",
             logarithmic=False,
         ),
-        Sweep(
+        make_sweep(
             "orient_closed",
             method,
             parameter,
             "none",
             (0.1, 0.3, 0.5, 0.7, 0.9, 1.0),
             _oriented_sphere,
-            Envelope(
-                1.0,
-                0.0,
-                0.0,
-                "Closed components are oriented outward, however many faces were flipped: no failure found.",
-            ),
+            last=1.0,
+            error=0.0,
+            statement="Closed components are oriented outward, however many faces were flipped: no failure found.",
             logarithmic=False,
         ),
     ]
 
 
 def _merge_sweep() -> Sweep:
-    return Sweep(
+    return make_sweep(
         "merge_vertices_tolerance",
         "mesh.merge_vertices",
         "tolerance [shortest edges]",
         "shortest edges",
         (2e-3, 1e-2, 0.1, 0.3, 0.6, 0.9, 1.1, 1.5, 2.0),
         _merged,
-        Envelope(
-            0.9,
-            2.0 * NOISE,
-            0.0,
-            "Vertices that belong together are merged, and no others, for tolerances between their distance and 0.9 "
-            "of the shortest edge.",
-        ),
+        last=0.9,
+        error=2.0 * NOISE,
+        statement="Vertices that belong together are merged, and no others, for tolerances between their distance and "
+        "0.9 of the shortest edge.",
     )
 
 
 def _audit_sweep() -> Sweep:
-    return Sweep(
+    return make_sweep(
         "audit_slivers",
         "mesh.audit",
         "longest edge of the triangles over their height",
         "relative",
         powers(0, 15),
         _aspects_of_slivers,
-        Envelope(
-            1e9,
-            1e-6,
-            0.0,
-            "Aspect ratios and areas of slivers are accurate to 1e-15 times the aspect ratio, as the rounding of "
-            "their coordinates allows: 1e-6 at 1e9. From 1e12 on slivers count as degenerate.",
-        ),
+        last=1e9,
+        error=1e-6,
+        statement="Aspect ratios and areas of slivers are accurate to 1e-15 times the aspect ratio, as the rounding "
+        "of their coordinates allows: 1e-6 at 1e9. From 1e12 on slivers count as degenerate.",
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
@@ -22,7 +22,7 @@ from geokit.accuracy.stability.shapes import (
     without_cap,
     without_faces,
 )
-from geokit.accuracy.trials.model import Envelope, Judgement, Sweep
+from geokit.accuracy.trials.model import Judgement, Sweep, make_sweep
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = ["sign_sweeps"]
@@ -114,227 +114,176 @@ def sign_sweeps(device: Any) -> list[Sweep]:
     ]
 
 
-def _sweep(
+def _sweeps(
     name: str,
-    sign: str,
     parameter: str,
     values: tuple[float, ...],
     ask: Callable[..., Judgement],
-    envelope: tuple[float, float, str],
+    promises: Mapping[str, tuple[float, float, str]],
     device: Any,
     logarithmic: bool = True,
-) -> Sweep:
-    last, wrong_share, statement = envelope
-    method = f'mesh.Surface.contains(sign="{sign}")'
-    asked = partial(ask, sign=sign, device=device)
-    kept = Envelope(last, 0.0, wrong_share, statement)
-    return Sweep(f"{name}_{sign}", method, parameter, "none", values, asked, kept, logarithmic)
+) -> list[Sweep]:
+    """A sweep for each method of signs; a promise is the last value, the share of wrong answers and the statement."""
+    return [
+        make_sweep(
+            f"{name}_{sign}",
+            f'mesh.Surface.contains(sign="{sign}")',
+            parameter,
+            "none",
+            values,
+            partial(ask, sign=sign, device=device),
+            last=last,
+            error=0.0,
+            statement=statement,
+            wrong_share=wrong_share,
+            logarithmic=logarithmic,
+        )
+        for sign, (last, wrong_share, statement) in promises.items()
+    ]
 
 
 def _near_sweeps(device: Any) -> list[Sweep]:
-    return [
-        _sweep(
-            "sign_near_surface",
-            sign,
-            "distance from the surface [radii of the torus]",
-            (*powers(-2, -14, -4), *powers(-15, -18, -1)),
-            _near,
-            (
-                # Winding numbers on a GPU are accurate to 0.02: this close to the surface either side of 1/2 occurs.
-                1e-6 if sign == "winding" and on_gpu(device) else 1e-14,
+    clean, farther = "On a clean mesh the", "is right for points 1e-14 sizes from the surface and farther"
+    return _sweeps(
+        "sign_near_surface",
+        "distance from the surface [radii of the torus]",
+        (*powers(-2, -14, -4), *powers(-15, -18, -1)),
+        _near,
+        {
+            "pseudonormal": (1e-14, 0.0, f"{clean} pseudonormal {farther}."),
+            # Winding numbers on a GPU are accurate to 0.02: this close to the surface either side of 1/2 occurs.
+            "winding": (
+                1e-6 if on_gpu(device) else 1e-14,
                 0.0,
-                f"On a clean mesh the {name} is right for points 1e-14 sizes from the surface and farther{further}.",
+                f"{clean} winding number {farther}, on a GPU 1e-6.",
             ),
-            device,
-        )
-        for sign, name, further in (
-            ("pseudonormal", "pseudonormal", ""),
-            ("winding", "winding number", ", on a GPU 1e-6"),
-            ("parity", "vote of rays", ""),
-        )
-    ]
+            "parity": (1e-14, 0.0, f"{clean} vote of rays {farther}."),
+        },
+        device,
+    )
 
 
 def _hole_sweeps(device: Any) -> list[Sweep]:
-    one, many = "share of the area that one hole removes", "share of the area that many small holes remove"
     shares = (0.01, 0.03, 0.1, 0.2, 0.3, 0.5)
-    more = (*shares, 0.7)
-    half = "of the points in 1.5 times the box on the wrong side"
-    return [
-        _sweep(
-            "sign_hole",
-            "winding",
-            one,
-            shares,
-            _hole,
-            (0.1, 0.03, f"With a hole of 10% of a sphere's area the winding number leaves under 3% {half}."),
-            device,
-        ),
-        _sweep(
-            "sign_hole",
-            "pseudonormal",
-            one,
-            shares,
-            _hole,
-            (0.1, 0.02, f"With a hole of 10% of a sphere's area pseudonormals leave under 2% {half}."),
-            device,
-        ),
-        _sweep(
-            "sign_hole",
-            "parity",
-            one,
-            shares,
-            _hole,
-            (0.1, 0.07, f"With a hole of 10% of a sphere's area a vote of rays leaves under 7% {half}."),
-            device,
-        ),
-        _sweep(
-            "sign_holes",
-            "winding",
-            many,
-            more,
-            _holes,
-            (0.2, FEW, f"With small holes of 20% of the area in total the winding number leaves under 0.5% {half}."),
-            device,
-        ),
-        _sweep(
-            "sign_holes",
-            "parity",
-            many,
-            more,
-            _holes,
-            (0.03, FEW, f"With small holes of 3% of the area in total a vote of rays leaves under 0.5% {half}."),
-            device,
-        ),
-    ]
+    one, half = "With a hole of 10% of a sphere's area", "of the points in 1.5 times the box on the wrong side"
+    holes = _sweeps(
+        "sign_hole",
+        "share of the area that one hole removes",
+        shares,
+        _hole,
+        {
+            "winding": (0.1, 0.03, f"{one} the winding number leaves under 3% {half}."),
+            "pseudonormal": (0.1, 0.02, f"{one} pseudonormals leave under 2% {half}."),
+            "parity": (0.1, 0.07, f"{one} a vote of rays leaves under 7% {half}."),
+        },
+        device,
+    )
+    return holes + _sweeps(
+        "sign_holes",
+        "share of the area that many small holes remove",
+        (*shares, 0.7),
+        _holes,
+        {
+            "winding": (
+                0.2,
+                FEW,
+                f"With small holes of 20% of the area in total the winding number leaves under 0.5% {half}.",
+            ),
+            "parity": (
+                0.03,
+                FEW,
+                f"With small holes of 3% of the area in total a vote of rays leaves under 0.5% {half}.",
+            ),
+        },
+        device,
+    )
 
 
 def _flip_sweeps(device: Any) -> list[Sweep]:
-    shares = (0.01, 0.05, 0.1, 0.2, 0.3, 0.4, 0.6)
-    parameter, soup = "share of the faces that are flipped", "share of the faces that are flipped, in a soup"
-    return [
-        _sweep(
-            "sign_flips",
-            "auto",
-            parameter,
-            shares[::2],
-            _flips,
-            (0.6, 0.0, "Faces of a closed mesh may have any winding, which is corrected first: no failure found."),
-            device,
-            logarithmic=False,
-        ),
-        _sweep(
-            "sign_soup_flips",
-            "winding",
-            soup,
-            shares,
-            _flips_of_soup,
-            (
+    shares, parameter = (0.01, 0.05, 0.1, 0.2, 0.3, 0.4, 0.6), "share of the faces that are flipped"
+    closed = _sweeps(
+        "sign_flips",
+        parameter,
+        shares[::2],
+        _flips,
+        {
+            "auto": (
+                0.6,
+                0.0,
+                "Faces of a closed mesh may have any winding, which is corrected first: no failure found.",
+            )
+        },
+        device,
+        logarithmic=False,
+    )
+    return closed + _sweeps(
+        "sign_soup_flips",
+        f"{parameter}, in a soup",
+        shares,
+        _flips_of_soup,
+        {
+            "winding": (
                 0.1,
                 0.015,
                 "If 10% of triangles that share no vertices are flipped, the winding number is wrong for under 1.5% "
                 "of the points; if 40% are flipped, for nearly all points inside.",
             ),
-            device,
-            logarithmic=False,
-        ),
-        _sweep(
-            "sign_soup_flips",
-            "pseudonormal",
-            soup,
-            shares,
-            _flips_of_soup,
-            (
+            "pseudonormal": (
                 0.01,
                 0.06,
                 "Among triangles that share no vertices a flipped one reverses the pseudonormal for all points "
                 "nearest to it: 1% of flips gives under 6% of wrong signs.",
             ),
-            device,
-            logarithmic=False,
-        ),
-        _sweep(
-            "sign_soup_flips",
-            "parity",
-            soup,
-            shares,
-            _flips_of_soup,
-            (
+            "parity": (
                 0.6,
                 FEW,
                 "A vote of rays does not depend on the winding of faces: no failure found, at gaps of 0.1% of an edge.",
             ),
-            device,
-            logarithmic=False,
-        ),
-    ]
+        },
+        device,
+        logarithmic=False,
+    )
 
 
 def _copy_sweeps(device: Any) -> list[Sweep]:
-    shares, parameter = (0.01, 0.03, 0.1, 0.3, 0.6, 1.0), "share of the faces that are there twice"
-    return [
-        _sweep(
-            "sign_copies",
-            "winding",
-            parameter,
-            shares,
-            _copies,
-            (1.0, FEW, "Duplicate faces do not affect the winding number: no failure found."),
-            device,
-        ),
-        _sweep(
-            "sign_copies",
-            "parity",
-            parameter,
-            shares,
-            _copies,
-            (0.03, FEW, "Duplicate faces act as holes in a vote of rays: 3% of them give under 0.5% of wrong signs."),
-            device,
-        ),
-    ]
+    return _sweeps(
+        "sign_copies",
+        "share of the faces that are there twice",
+        (0.01, 0.03, 0.1, 0.3, 0.6, 1.0),
+        _copies,
+        {
+            "winding": (1.0, FEW, "Duplicate faces do not affect the winding number: no failure found."),
+            "parity": (
+                0.03,
+                FEW,
+                "Duplicate faces act as holes in a vote of rays: 3% of them give under 0.5% of wrong signs.",
+            ),
+        },
+        device,
+    )
 
 
 def _overlap_sweeps(device: Any) -> list[Sweep]:
-    depths, parameter = (0.0, 0.01, 0.1, 0.3, 0.5, 1.0), "depth of two unit spheres in each other"
-    return [
-        _sweep(
-            "sign_overlap",
-            "winding",
-            parameter,
-            depths,
-            _overlap,
-            (1.0, 0.0, "Overlapping bodies do not affect the winding number: no failure found."),
-            device,
-            logarithmic=False,
-        ),
-        _sweep(
-            "sign_overlap",
-            "pseudonormal",
-            parameter,
-            depths,
-            _overlap,
-            (
+    return _sweeps(
+        "sign_overlap",
+        "depth of two unit spheres in each other",
+        (0.0, 0.01, 0.1, 0.3, 0.5, 1.0),
+        _overlap,
+        {
+            "winding": (1.0, 0.0, "Overlapping bodies do not affect the winding number: no failure found."),
+            "pseudonormal": (
                 0.01,
                 FEW,
                 "Where bodies overlap, pseudonormals give wrong signs: for under 0.5% of the points around spheres "
                 "that overlap by 0.01 radii, 1% at 0.1 radii.",
             ),
-            device,
-            logarithmic=False,
-        ),
-        _sweep(
-            "sign_overlap",
-            "parity",
-            parameter,
-            depths,
-            _overlap,
-            (
+            "parity": (
                 0.1,
                 FEW,
                 "Where two bodies overlap, a vote of rays says outside: for under 0.5% of the points around spheres "
                 "that overlap by 0.1 radii.",
             ),
-            device,
-            logarithmic=False,
-        ),
-    ]
+        },
+        device,
+        logarithmic=False,
+    )

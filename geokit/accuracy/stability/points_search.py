@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.accuracy.reference import mesh as reference
-from geokit.accuracy.trials.model import Envelope, Judgement, Sweep
+from geokit.accuracy.trials.model import Judgement, Sweep, make_sweep
 
 __all__ = ["sweeps"]
 
@@ -81,32 +81,31 @@ def _radius_search(
     device: Any,
     logarithmic: bool = True,
 ) -> Sweep:
-    return Sweep(
+    return make_sweep(
         name=f"radius_search_{name}",
         method="points.NeighborGrid.radius_search",
         parameter=parameter,
         unit="radii",
         values=values,
         ask=partial(ask, device=device),
-        envelope=Envelope(last=values[-1], error=ROUNDING, wrong_share=0.0, statement=statement),
+        last=values[-1],
+        error=ROUNDING,
+        statement=statement,
         logarithmic=logarithmic,
     )
 
 
 def _nearest(device: Any) -> Sweep:
-    return Sweep(
+    return make_sweep(
         name="knn_k",
         method="points.NeighborGrid.knn",
         parameter="neighbors of a query",
         unit="relative",
         values=(1.0, 8.0, 32.0, 128.0, 512.0, 1024.0, 1025.0, 2048.0),
         ask=partial(nearest, device=device),
-        envelope=Envelope(
-            last=float(MOST_NEIGHBORS),
-            error=ROUNDING,
-            wrong_share=0.0,
-            statement=f"Up to {MOST_NEIGHBORS} nearest points are exact, ties by the lowest index; more are refused.",
-        ),
+        last=float(MOST_NEIGHBORS),
+        error=ROUNDING,
+        statement=f"Up to {MOST_NEIGHBORS} nearest points are exact, ties by the lowest index; more are refused.",
     )
 
 

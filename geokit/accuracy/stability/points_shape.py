@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.accuracy.stability.fields import unit_vectors
-from geokit.accuracy.trials.model import Envelope, Judgement, Sweep
+from geokit.accuracy.trials.model import Judgement, Sweep, make_sweep
 
 __all__ = ["sweeps"]
 
@@ -59,77 +59,64 @@ def sweeps(device: Any = None) -> list[Sweep]:
 
 
 def _noise(device: Any) -> Sweep:
-    return Sweep(
+    return make_sweep(
         name="normals_noise",
         method="points.normals",
         parameter="noise [spacings], k = 16",
         unit="degrees",
         values=(1e-4, 1e-3, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0),
         ask=partial(noisy_planes, device=device),
-        envelope=Envelope(
-            last=0.1,
-            error=15.0,
-            wrong_share=0.0,
-            statement="Noise of a tenth of the spacing tilts normals by at most 15 degrees (1.6 in the median) at k "
-            "= 16, less noise in proportion; at noise of a whole spacing directions carry no information.",
-        ),
+        last=0.1,
+        error=15.0,
+        statement="Noise of a tenth of the spacing tilts normals by at most 15 degrees (1.6 in the median) at k = 16, "
+        "less noise in proportion; at noise of a whole spacing directions carry no information.",
     )
 
 
 def _curvature(device: Any) -> Sweep:
-    return Sweep(
+    return make_sweep(
         name="normals_curvature",
         method="points.normals",
         parameter="radius of the neighborhood [radii of curvature]",
         unit="degrees",
         values=(0.6, 0.8, 1.2, 1.6, 2.4, 3.2),
         ask=partial(wide_planes, device=device),
-        envelope=Envelope(
-            last=1.2,
-            error=30.0,
-            wrong_share=0.0,
-            statement="Neighborhoods with a radius of up to 1.2 radii of curvature give normals to 30 degrees at "
-            "worst (4 rms); neighborhoods twice as large reach around the body, and normals may be those of "
-            "another side.",
-        ),
+        last=1.2,
+        error=30.0,
+        statement="Neighborhoods with a radius of up to 1.2 radii of curvature give normals to 30 degrees at worst (4 "
+        "rms); neighborhoods twice as large reach around the body, and normals may be those of another side.",
     )
 
 
 def _turned(method: str, device: Any) -> Sweep:
-    return Sweep(
+    return make_sweep(
         name=f"register_{method}_angle",
         method=f"points.register, {method}",
         parameter="angle of the start [degrees]",
         unit="sizes",
         values=(1.0, 10.0, 30.0, 45.0, 90.0, 135.0, 180.0),
         ask=partial(turned_ellipsoids, method=method, device=device),
-        envelope=Envelope(
-            last=45.0,
-            error=1e-12,
-            wrong_share=0.0,
-            statement="A noise-free ellipsoid (axes 1, 0.7, 0.45) is recovered exactly from starts rotated by up to "
-            "45 degrees; from 90 degrees on some runs end at another pose, which rmse shows.",
-        ),
+        last=45.0,
+        error=1e-12,
+        statement="A noise-free ellipsoid (axes 1, 0.7, 0.45) is recovered exactly from starts rotated by up to 45 "
+        "degrees; from 90 degrees on some runs end at another pose, which rmse shows.",
         logarithmic=False,
     )
 
 
 def _support(kernel: str, device: Any) -> Sweep:
     error, scattered = KERNELS[kernel]
-    return Sweep(
+    return make_sweep(
         name=f"density_{kernel}_radius",
         method=f"points.density, {kernel}",
         parameter="radius [spacings]",
         unit="relative",
         values=(4.0, 3.0, 2.0, 1.5, 1.0, 0.75, 0.5),
         ask=partial(lattice_densities, kernel=kernel, device=device),
-        envelope=Envelope(
-            last=2.0,
-            error=error,
-            wrong_share=0.0,
-            statement=f"On a lattice a radius of 2 spacings or more gives the density to {error:.0%}; a radius of 1 "
-            f"spacing gives nothing like it. Random points scatter more: {scattered:.0%} rms at 3 spacings.",
-        ),
+        last=2.0,
+        error=error,
+        statement=f"On a lattice a radius of 2 spacings or more gives the density to {error:.0%}; a radius of 1 "
+        f"spacing gives nothing like it. Random points scatter more: {scattered:.0%} rms at 3 spacings.",
     )
 
 

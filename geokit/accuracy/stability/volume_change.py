@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.accuracy.stability.fields import ball, level_set, voxel_centers
-from geokit.accuracy.trials.model import Envelope, Judgement, Sweep
+from geokit.accuracy.trials.model import Judgement, Sweep, make_sweep
 
 if TYPE_CHECKING:
     from geokit.volume.model.sparse_volume import SparseVolume
@@ -45,94 +45,78 @@ def sweeps(device: Any = None) -> list[Sweep]:
 
 
 def _slope(device: Any) -> Sweep:
-    return Sweep(
+    return make_sweep(
         name="renormalize_slope",
         method="volume.renormalize",
         parameter="slope of the field, cut off at +-3 voxels",
         unit="voxels",
         values=(0.1, 0.3, 1.0, 1.7, 3.0, 6.0, 16.0),
         ask=partial(evened_slopes, device=device),
-        envelope=Envelope(
-            last=1.7,
-            error=0.02,
-            wrong_share=0.0,
-            statement="Uniform slopes up to half_width / 1.75 become distances with an error of at most 0.02 voxel "
-            "(radius of 16 voxels). Steeper fields are cut off within the cells that the surface crosses, which "
-            "hides its position.",
-        ),
+        last=1.7,
+        error=0.02,
+        statement="Uniform slopes up to half_width / 1.75 become distances with an error of at most 0.02 voxel "
+        "(radius of 16 voxels). Steeper fields are cut off within the cells that the surface crosses, which hides its "
+        "position.",
     )
 
 
 def _uneven(device: Any) -> Sweep:
-    return Sweep(
+    return make_sweep(
         name="renormalize_uneven_slope",
         method="volume.renormalize",
         parameter="change of the slope [1 / voxel]",
         unit="voxels",
         values=(0.01, 0.02, 0.04, 0.08, 0.12, 0.2),
         ask=partial(evened_waves, device=device),
-        envelope=Envelope(
-            last=0.02,
-            error=0.1,
-            wrong_share=0.0,
-            statement="If the slope changes by up to 2 % a voxel, distances have an error of at most 0.1 voxel (at 4 "
-            "% only just); at 20 % they are a voxel off.",
-        ),
+        last=0.02,
+        error=0.1,
+        statement="If the slope changes by up to 2 % a voxel, distances have an error of at most 0.1 voxel (at 4 % "
+        "only just); at 20 % they are a voxel off.",
     )
 
 
 def _curvature(device: Any) -> Sweep:
-    return Sweep(
+    return make_sweep(
         name="renormalize_curvature",
         method="volume.renormalize",
         parameter="radius of curvature [voxels], slope 0.7",
         unit="voxels",
         values=(20.0, 10.0, 5.0, 2.5, 1.25, 0.6),
         ask=partial(evened_balls, device=device),
-        envelope=Envelope(
-            last=10.0,
-            error=0.02,
-            wrong_share=0.0,
-            statement="Distances have an error of at most 0.02 voxel around surfaces whose radius of curvature is at "
-            "least 10 voxels.",
-        ),
+        last=10.0,
+        error=0.02,
+        statement="Distances have an error of at most 0.02 voxel around surfaces whose radius of curvature is at "
+        "least 10 voxels.",
     )
 
 
 def _offset(device: Any) -> Sweep:
-    return Sweep(
+    return make_sweep(
         name="offset_radius",
         method="volume.offset",
         parameter="radius of curvature that is left [voxels] of 12",
         unit="voxels",
         values=(11.0, 10.0, 8.0, 4.0, 2.0, 1.0, 0.3),
         ask=partial(shrunk_balls, device=device),
-        envelope=Envelope(
-            last=8.0,
-            error=0.05,
-            wrong_share=0.0,
-            statement="Offsets have an error of at most 0.05 voxel if the radius of curvature is at least 8 voxels, "
-            "before and after.",
-        ),
+        last=8.0,
+        error=0.05,
+        statement="Offsets have an error of at most 0.05 voxel if the radius of curvature is at least 8 voxels, "
+        "before and after.",
     )
 
 
 def _smooth(device: Any) -> Sweep:
-    return Sweep(
+    return make_sweep(
         name="smooth_gaussian_radius",
         method="volume.smooth, gaussian",
         parameter="radius of a ball [voxels]",
         unit="voxels",
         values=(20.0, 16.0, 12.0, 8.0, 4.0, 3.0, 2.0),
         ask=partial(smoothed_balls, device=device),
-        envelope=Envelope(
-            last=8.0,
-            error=0.05,
-            wrong_share=0.0,
-            statement="One pass of width 1 moves the surface inward by 2.7 voxel^2 over the radius of curvature, "
-            "with an error of at most 0.05 voxel from a radius of 8 voxels on; balls of 2 voxels and less "
-            "disappear.",
-        ),
+        last=8.0,
+        error=0.05,
+        statement="One pass of width 1 moves the surface inward by 2.7 voxel^2 over the radius of curvature, with an "
+        "error of at most 0.05 voxel from a radius of 8 voxels on; balls of 2 voxels and less disappear.",
     )
 
 

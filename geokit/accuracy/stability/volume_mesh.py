@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from geokit.accuracy.reference import mesh as reference
 from geokit.accuracy.stability import shapes
 from geokit.accuracy.stability.fields import MIDDLE, ball, level_set, unit_vectors
-from geokit.accuracy.trials.model import Envelope, Judgement, Sweep
+from geokit.accuracy.trials.model import Judgement, Sweep, make_sweep
 
 if TYPE_CHECKING:
     from geokit.mesh.model.triangle_mesh import TriangleMesh
@@ -58,97 +58,81 @@ def sweeps(device: Any = None) -> list[Sweep]:
 
 
 def _walls_by_sample(device: Any) -> Sweep:
-    return Sweep(
+    return make_sweep(
         name="from_mesh_thin_wall",
         method="volume.from_mesh",
         parameter="thickness of a wall [voxels]",
         unit="voxels",
         values=(4.0, 3.0, 2.0, 1.0, 0.5, 0.25, 0.1),
         ask=partial(wall_distances, device=device),
-        envelope=Envelope(
-            last=2.0,
-            # The interpolant of |x| is a mean over corners with a variance of at most a quarter voxel^2 each way.
-            error=0.5 + ROUNDING,
-            wrong_share=0.0,
-            statement="Points inside walls of 2 voxels and more have the right sign; the interpolated distance is "
-            "off by up to half a voxel around the middle of any wall, and walls thinner than a voxel may have no "
-            "inside.",
-        ),
+        last=2.0,
+        # The interpolant of |x| is a mean over corners with a variance of at most a quarter voxel^2 each way.
+        error=0.5 + ROUNDING,
+        statement="Points inside walls of 2 voxels and more have the right sign; the interpolated distance is off by "
+        "up to half a voxel around the middle of any wall, and walls thinner than a voxel may have no inside.",
     )
 
 
 def _walls_by_surface(device: Any) -> Sweep:
-    return Sweep(
+    return make_sweep(
         name="from_volume_thin_wall",
         method="mesh.from_volume",
         parameter="thickness of a wall [voxels]",
         unit="voxels",
         values=(4.0, 3.0, 2.0, 1.0, 0.5, 0.25, 0.1),
         ask=partial(wall_surfaces, device=device),
-        envelope=Envelope(
-            last=2.0,
-            error=0.1,
-            wrong_share=0.0,
-            statement="Both faces of walls of 2 voxels and more are recovered to 0.1 voxel; walls of 1 voxel and "
-            "less are off by half a voxel and more, have holes, or are lost.",
-        ),
+        last=2.0,
+        error=0.1,
+        statement="Both faces of walls of 2 voxels and more are recovered to 0.1 voxel; walls of 1 voxel and less are "
+        "off by half a voxel and more, have holes, or are lost.",
     )
 
 
 def _isovalue(device: Any) -> Sweep:
-    return Sweep(
+    return make_sweep(
         name="from_volume_isovalue",
         method="mesh.from_volume",
         parameter="distance of the isovalue from the surface [voxels], band of half width 3",
         unit="voxels",
         values=(0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 2.9, 3.0, 3.5),
         ask=partial(offset_surfaces, device=device),
-        envelope=Envelope(
-            last=2.0,
-            error=0.06,
-            wrong_share=0.0,
-            statement="Isovalues up to half_width - 1 voxels from the surface give the offset surface, to 0.06 voxel "
-            "on a sphere of 20 voxels; closer to the end of the band the surface is up to a voxel off, and "
-            "beyond it there is none.",
-        ),
+        last=2.0,
+        error=0.06,
+        statement="Isovalues up to half_width - 1 voxels from the surface give the offset surface, to 0.06 voxel on a "
+        "sphere of 20 voxels; closer to the end of the band the surface is up to a voxel off, and beyond it there is "
+        "none.",
         logarithmic=False,
     )
 
 
 def _small_balls(method: str, device: Any) -> Sweep:
     constant = CURVATURE_ERROR[method]
-    return Sweep(
+    return make_sweep(
         name=f"from_volume_{method}_curvature",
         method=f"mesh.from_volume, {method}",
         parameter="radius of curvature [voxels]",
         unit="voxels",
         values=(16.0, 8.0, 4.0, 2.0, 1.0, 0.5, 0.25),
         ask=partial(ball_surfaces, method=method, device=device),
-        envelope=Envelope(
-            last=1.0,
-            error=lambda radius: constant / radius,
-            wrong_share=0.0,
-            statement=f"The surface of a distance field is off by at most {constant:g} voxel^2 over the radius of "
-            "curvature, down to a radius of 1 voxel; balls of less than 0.87 voxel may be lost.",
-        ),
+        last=1.0,
+        error=lambda radius: constant / radius,
+        statement=f"The surface of a distance field is off by at most {constant:g} voxel^2 over the radius of "
+        "curvature, down to a radius of 1 voxel; balls of less than 0.87 voxel may be lost.",
     )
 
 
 def _far_away(device: Any) -> Sweep:
-    return Sweep(
+    return make_sweep(
         name="from_mesh_origin",
         method="volume.from_mesh",
         parameter="distance from the origin [sizes of the mesh]",
         unit="sizes",
         values=(1.0, 1e3, 1e6, 1e9, 1e12, 1e14, 1e15),
         ask=partial(far_distances, device=device),
-        envelope=Envelope(
-            last=1e9,
-            error=1e-6,
-            wrong_share=0.0,
-            statement="Distances have an error of at most 1e-6 of the size up to 1e9 sizes from the origin: a few "
-            "roundings of float64 coordinates, 2^-52 of the distance from the origin, and nothing else.",
-        ),
+        last=1e9,
+        error=1e-6,
+        statement="Distances have an error of at most 1e-6 of the size up to 1e9 sizes from the origin: a few "
+        "roundings of float64 coordinates, 2^-52 of the distance from the origin, and nothing else.",
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.accuracy.stability.fields import MIDDLE, ball, field, level_set, unit_vectors
-from geokit.accuracy.trials.model import Envelope, Judgement, Sweep
+from geokit.accuracy.trials.model import Judgement, Sweep, make_sweep
 
 if TYPE_CHECKING:
     from geokit.volume.model.sparse_volume import SparseVolume
@@ -111,97 +111,82 @@ def sweeps(device: Any = None) -> list[Sweep]:
 
 def _wavelength(order: int, device: Any) -> Sweep:
     last, error, bound = WAVELENGTHS[order]
-    return Sweep(
+    return make_sweep(
         name=f"sample_order_{order}_wavelength",
         method=f"volume.sample, order={order}",
         parameter="wavelength [voxels]",
         unit="amplitudes",
         values=(128.0, 64.0, 48.0, 24.0, 12.0, 8.0, 4.0, 2.0),
         ask=partial(waves, order=order, device=device),
-        envelope=Envelope(
-            last=last,
-            error=error,
-            wrong_share=0.0,
-            statement=f"Order {order} is off by at most {error:.0%} of the amplitude of waves that are {last:g} voxels "
-            f"long or more ({bound}).",
-        ),
+        last=last,
+        error=error,
+        statement=f"Order {order} is off by at most {error:.0%} of the amplitude of waves that are {last:g} voxels "
+        f"long or more ({bound}).",
     )
 
 
 def _band(order: int, device: Any) -> Sweep:
     last, error, statement = BANDS[order]
-    return Sweep(
+    return make_sweep(
         name=f"sample_order_{order}_band",
         method=f"volume.sample, order={order}",
         parameter="distance from the surface [voxels], band of half width 3",
         unit="voxels",
         values=(0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0),
         ask=partial(band_distances, order=order, device=device),
-        envelope=Envelope(
-            last=last,
-            error=error,
-            wrong_share=0.0,
-            statement=f"{statement} ({error:g} voxel on a sphere of {BAND_RADIUS:g} voxels). Beyond half_width the "
-            "value is half_width, at any distance from the surface.",
-        ),
+        last=last,
+        error=error,
+        statement=f"{statement} ({error:g} voxel on a sphere of {BAND_RADIUS:g} voxels). Beyond half_width the "
+        "value is half_width, at any distance from the surface.",
         logarithmic=False,
     )
 
 
 def _origin(order: int, device: Any) -> Sweep:
-    return Sweep(
+    return make_sweep(
         name=f"sample_order_{order}_origin",
         method=f"volume.sample, order={order}",
         parameter="distance of the grid from the origin [voxels]",
         unit="voxels",
         values=(1.0, 1e3, 1e6, 1e9, 1e12, 1e15),
         ask=partial(far_values, order=order, device=device),
-        envelope=Envelope(
-            last=1e9,
-            error=2e-6,
-            wrong_share=0.0,
-            statement="Up to 1e9 voxels from the origin a value is that of a point at most 2e-6 voxel away: the "
-            "error is that of float64 coordinates, a few times 2^-53 of the distance.",
-        ),
+        last=1e9,
+        error=2e-6,
+        statement="Up to 1e9 voxels from the origin a value is that of a point at most 2e-6 voxel away: the error is "
+        "that of float64 coordinates, a few times 2^-53 of the distance.",
     )
 
 
 def _flatness(codec: str, device: Any) -> Sweep:
     values, last, bits = CODECS[codec]
     own = HALF_WIDTH / (2**bits - 1)
-    return Sweep(
+    return make_sweep(
         name=f"quantize_{codec}_curvature",
         method=f"volume.quantize, {codec}",
         parameter="radius of curvature [voxels], band of half width 3",
         unit="voxels",
         values=values,
         ask=partial(quantized_distances, codec=codec, device=device),
-        envelope=Envelope(
-            last=last,
-            error=lambda radius: WITH_CODEC * INTERPOLATION / radius,
-            wrong_share=0.0,
-            statement=f"{codec} is off by at most half_width / {2**bits - 1}, {own:.2g} voxel of a band of half width "
-            f"3, at any curvature. Up to a radius of {last:g} voxels, sampling at order 1 then has at most three "
-            "times its error without quantization, 0.25 / radius.",
-        ),
+        last=last,
+        error=lambda radius: WITH_CODEC * INTERPOLATION / radius,
+        statement=f"{codec} is off by at most half_width / {2**bits - 1}, {own:.2g} voxel of a band of half width "
+        f"3, at any curvature. Up to a radius of {last:g} voxels, sampling at order 1 then has at most three "
+        "times its error without quantization, 0.25 / radius.",
     )
 
 
 def _tolerance(device: Any) -> Sweep:
-    return Sweep(
+    return make_sweep(
         name="quantize_fpn_tolerance",
         method="volume.quantize, fpn",
         parameter="tolerance [voxels], band of half width 3",
         unit="tolerances",
         values=(0.3, 0.1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6),
         ask=partial(kept_tolerances, device=device),
-        envelope=Envelope(
-            last=1e-4,
-            error=1.0,
-            wrong_share=0.0,
-            statement="A tolerance is met or refused: in a band of half width 3, fpn meets 1e-4 voxel and more, and "
-            "refuses tolerances below half_width / 65535, which 16 bits a voxel cannot meet.",
-        ),
+        last=1e-4,
+        error=1.0,
+        statement="A tolerance is met or refused: in a band of half width 3, fpn meets 1e-4 voxel and more, and "
+        "refuses tolerances below half_width / 65535, which 16 bits a voxel cannot meet.",
     )
 
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from geokit.mesh.model.triangle_mesh import TriangleMesh
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["Chart", "Envelope", "Judgement", "Measurement", "Subject", "Sweep", "Trial"]
+__all__ = ["Chart", "Envelope", "Judgement", "Measurement", "Subject", "Sweep", "Trial", "make_sweep"]
 
 
 class Subject(NamedTuple):
@@ -170,3 +170,22 @@ class Sweep:
     ask: Callable[[float], Judgement]
     envelope: Envelope
     logarithmic: bool = True
+
+
+def make_sweep(
+    name: str,
+    method: str,
+    parameter: str,
+    unit: str,
+    values: tuple[float, ...],
+    ask: Callable[[float], Judgement],
+    *,
+    last: float,
+    error: float | Callable[[float], float],
+    statement: str,
+    wrong_share: float = 0.0,
+    logarithmic: bool = True,
+) -> Sweep:
+    """A sweep with its envelope; most promise that no answer is wrong."""
+    envelope = Envelope(last, error, wrong_share, statement)
+    return Sweep(name, method, parameter, unit, values, ask, envelope, logarithmic)
