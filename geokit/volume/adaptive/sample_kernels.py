@@ -15,7 +15,7 @@ import warp as wp
 
 from geokit.core.cpp import cpp
 from geokit.volume.adaptive.table_kernels import AdaptiveLevels
-from geokit.volume.sampling.trilinear_table_kernels import GROUP, overloads
+from geokit.volume.sampling.trilinear_table_kernels import ANSWERS, GROUP, overloads
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
 
@@ -35,55 +35,20 @@ def _cells(gradient: int, real: str | None = None) -> str:
     return cpp("volume/sampling/trilinear_cells.inl", defines=defines)
 
 
-# Overloads: values or gradients, and points and answers of each precision.
-@wp.func_native(_cells(0, "double"))
-def adaptive_group(
-    levels: AdaptiveLevels,
-    start: int,
-    stop: int,
-    points: wp.array(dtype=wp.vec3d),
-    origin: wp.vec3d,
-    to_index: wp.mat33d,
-    out: wp.array(dtype=wp.float64),
-) -> wp.uint64:
-    """Answers the points ``start`` to ``stop``, 64 at most; returns a bit mask of those beyond the box of level 0."""
-    ...
+for _gradient, _real, _point, _answer in ANSWERS:
 
-
-@wp.func_native(_cells(0, "float"))
-def adaptive_group(  # noqa: F811
-    levels: AdaptiveLevels,
-    start: int,
-    stop: int,
-    points: wp.array(dtype=wp.vec3f),
-    origin: wp.vec3d,
-    to_index: wp.mat33d,
-    out: wp.array(dtype=wp.float32),
-) -> wp.uint64: ...
-
-
-@wp.func_native(_cells(1, "double"))
-def adaptive_group(  # noqa: F811
-    levels: AdaptiveLevels,
-    start: int,
-    stop: int,
-    points: wp.array(dtype=wp.vec3d),
-    origin: wp.vec3d,
-    to_index: wp.mat33d,
-    out: wp.array(dtype=wp.vec3d),
-) -> wp.uint64: ...
-
-
-@wp.func_native(_cells(1, "float"))
-def adaptive_group(  # noqa: F811
-    levels: AdaptiveLevels,
-    start: int,
-    stop: int,
-    points: wp.array(dtype=wp.vec3f),
-    origin: wp.vec3d,
-    to_index: wp.mat33d,
-    out: wp.array(dtype=wp.vec3f),
-) -> wp.uint64: ...
+    @wp.func_native(_cells(_gradient, _real))
+    def adaptive_group(
+        levels: AdaptiveLevels,
+        start: int,
+        stop: int,
+        points: wp.array(dtype=_point),
+        origin: wp.vec3d,
+        to_index: wp.mat33d,
+        out: wp.array(dtype=_answer),
+    ) -> wp.uint64:
+        """Answers the points ``start`` to ``stop``, 64 at most; returns a bit mask of those beyond level 0."""
+        ...
 
 
 # Overloads: values or gradients, by the type of the last argument.

@@ -13,7 +13,7 @@ import warp as wp
 from geokit.core.cpp import cpp
 from geokit.volume.adaptive.table_kernels import AdaptiveLevels
 from geokit.volume.nanovdb.read_voxel_kernels import read_cell
-from geokit.volume.sampling.sample_kernels import has_voxels, trilinear, trilinear_slopes, world_derivative
+from geokit.volume.sampling.sample_kernels import has_voxels, trilinear, trilinear_slopes, world_gradient
 from geokit.volume.sampling.stencil_kernels import Cubic, Quadratic, stencil_gradient, stencil_value, weights
 from geokit.volume.sampling.trilinear_table_kernels import overloads
 
@@ -41,13 +41,7 @@ def value_in(volume: wp.uint64, base: wp.vec3d, f: wp.vec3d, basis: Linear):
 
 
 @wp.func
-def value_in(volume: wp.uint64, base: wp.vec3d, f: wp.vec3d, basis: Quadratic):  # noqa: F811
-    zero = wp.float64(0.0)
-    return stencil_value(volume, base, basis, weights(basis, f[0]), weights(basis, f[1]), weights(basis, f[2]), zero)
-
-
-@wp.func
-def value_in(volume: wp.uint64, base: wp.vec3d, f: wp.vec3d, basis: Cubic):  # noqa: F811
+def value_in(volume: wp.uint64, base: wp.vec3d, f: wp.vec3d, basis: Any):  # noqa: F811
     zero = wp.float64(0.0)
     return stencil_value(volume, base, basis, weights(basis, f[0]), weights(basis, f[1]), weights(basis, f[2]), zero)
 
@@ -61,13 +55,7 @@ def slopes_in(volume: wp.uint64, base: wp.vec3d, f: wp.vec3d, basis: Linear):
 
 
 @wp.func
-def slopes_in(volume: wp.uint64, base: wp.vec3d, f: wp.vec3d, basis: Quadratic):  # noqa: F811
-    zero = wp.float64(0.0)
-    return stencil_gradient(volume, base, basis, weights(basis, f[0]), weights(basis, f[1]), weights(basis, f[2]), zero)
-
-
-@wp.func
-def slopes_in(volume: wp.uint64, base: wp.vec3d, f: wp.vec3d, basis: Cubic):  # noqa: F811
+def slopes_in(volume: wp.uint64, base: wp.vec3d, f: wp.vec3d, basis: Any):  # noqa: F811
     zero = wp.float64(0.0)
     return stencil_gradient(volume, base, basis, weights(basis, f[0]), weights(basis, f[1]), weights(basis, f[2]), zero)
 
@@ -99,11 +87,7 @@ def answer_of(  # noqa: F811
     base = wp.vec3d(wp.float64(cell[1]), wp.float64(cell[2]), wp.float64(cell[3]))
     a, b, c = slopes_in(levels.volume[cell[0]], base, f, basis)
     # A finer level's voxels are smaller by a power of two; its slopes are scaled to the units of level 0.
-    return scale * wp.vec3d(
-        world_derivative(a, b, c, to_index, 0),
-        world_derivative(a, b, c, to_index, 1),
-        world_derivative(a, b, c, to_index, 2),
-    )
+    return scale * world_gradient(a, b, c, to_index)
 
 
 def _kernels_of(basis: Any, name: str) -> tuple[Any, Any]:

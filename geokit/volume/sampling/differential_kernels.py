@@ -67,84 +67,55 @@ def row_of(matrix: wp.mat33d, row: int) -> wp.vec3d:
     return wp.vec3d(matrix[row, 0], matrix[row, 1], matrix[row, 2])
 
 
-@wp.kernel
-def gradient_kernel(
-    first: int,
-    volume: wp.uint64,
-    origins: wp.array(dtype=wp.vec3i),
-    masks: wp.array2d(dtype=wp.uint8),
-    to_index: wp.mat33d,
-    out_gradient: wp.array(dtype=wp.vec3d),
-):
-    i = first + wp.tid()
-    leaf = i >> 9
-    if not is_set(masks, leaf, i & 511):
-        return
-    v = voxel_of(origins[leaf], i & 511)
-    total = wp.vec3d(wp.float64(0.0))
-    for axis in range(3):
-        total += row_of(to_index, axis) * central(volume, origins[leaf], v, axis, wp.float64(0.0))
-    out_gradient[i] = total
+@wp.func
+def gradient_term(volume: wp.uint64, origin: wp.vec3i, v: wp.vec3i, axis: int, row: wp.vec3d) -> wp.vec3d:
+    return row * central(volume, origin, v, axis, wp.float64(0.0))
 
 
-@wp.kernel
-def divergence_kernel(
-    first: int,
-    volume: wp.uint64,
-    origins: wp.array(dtype=wp.vec3i),
-    masks: wp.array2d(dtype=wp.uint8),
-    to_index: wp.mat33d,
-    out_divergence: wp.array(dtype=wp.float64),
-):
-    i = first + wp.tid()
-    leaf = i >> 9
-    if not is_set(masks, leaf, i & 511):
-        return
-    v = voxel_of(origins[leaf], i & 511)
-    total = wp.float64(0.0)
-    for axis in range(3):
-        total += wp.dot(row_of(to_index, axis), central(volume, origins[leaf], v, axis, wp.vec3d(wp.float64(0.0))))
-    out_divergence[i] = total
+@wp.func
+def divergence_term(volume: wp.uint64, origin: wp.vec3i, v: wp.vec3i, axis: int, row: wp.vec3d) -> wp.float64:
+    return wp.dot(row, central(volume, origin, v, axis, wp.vec3d(wp.float64(0.0))))
 
 
-@wp.kernel
-def staggered_divergence_kernel(
-    first: int,
-    volume: wp.uint64,
-    origins: wp.array(dtype=wp.vec3i),
-    masks: wp.array2d(dtype=wp.uint8),
-    to_index: wp.mat33d,
-    out_divergence: wp.array(dtype=wp.float64),
-):
-    i = first + wp.tid()
-    leaf = i >> 9
-    if not is_set(masks, leaf, i & 511):
-        return
-    v = voxel_of(origins[leaf], i & 511)
-    total = wp.float64(0.0)
-    for axis in range(3):
-        total += wp.dot(row_of(to_index, axis), forward(volume, origins[leaf], v, axis, wp.vec3d(wp.float64(0.0))))
-    out_divergence[i] = total
+@wp.func
+def staggered_divergence_term(volume: wp.uint64, origin: wp.vec3i, v: wp.vec3i, axis: int, row: wp.vec3d) -> wp.float64:
+    return wp.dot(row, forward(volume, origin, v, axis, wp.vec3d(wp.float64(0.0))))
 
 
-@wp.kernel
-def curl_kernel(
-    first: int,
-    volume: wp.uint64,
-    origins: wp.array(dtype=wp.vec3i),
-    masks: wp.array2d(dtype=wp.uint8),
-    to_index: wp.mat33d,
-    out_curl: wp.array(dtype=wp.vec3d),
-):
-    i = first + wp.tid()
-    leaf = i >> 9
-    if not is_set(masks, leaf, i & 511):
-        return
-    v = voxel_of(origins[leaf], i & 511)
-    total = wp.vec3d(wp.float64(0.0))
-    for axis in range(3):
-        total += wp.cross(row_of(to_index, axis), central(volume, origins[leaf], v, axis, wp.vec3d(wp.float64(0.0))))
-    out_curl[i] = total
+@wp.func
+def curl_term(volume: wp.uint64, origin: wp.vec3i, v: wp.vec3i, axis: int, row: wp.vec3d) -> wp.vec3d:
+    return wp.cross(row, central(volume, origin, v, axis, wp.vec3d(wp.float64(0.0))))
+
+
+def _kernel_of(term: Any, kind: Any) -> Any:
+    """The kernel that adds the terms of the three index axes, of type ``kind``."""
+
+    @wp.kernel
+    def derivative_kernel(
+        first: int,
+        volume: wp.uint64,
+        origins: wp.array(dtype=wp.vec3i),
+        masks: wp.array2d(dtype=wp.uint8),
+        to_index: wp.mat33d,
+        out: wp.array(dtype=kind),
+    ):
+        i = first + wp.tid()
+        leaf = i >> 9
+        if not is_set(masks, leaf, i & 511):
+            return
+        v = voxel_of(origins[leaf], i & 511)
+        total = kind(wp.float64(0.0))
+        for axis in range(3):
+            total += term(volume, origins[leaf], v, axis, row_of(to_index, axis))
+        out[i] = total
+
+    return derivative_kernel
+
+
+gradient_kernel = _kernel_of(gradient_term, wp.vec3d)
+divergence_kernel = _kernel_of(divergence_term, wp.float64)
+staggered_divergence_kernel = _kernel_of(staggered_divergence_term, wp.float64)
+curl_kernel = _kernel_of(curl_term, wp.vec3d)
 
 
 @wp.func

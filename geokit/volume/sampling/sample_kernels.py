@@ -129,32 +129,13 @@ def world_derivative(along_i: Any, along_j: Any, along_k: Any, to_index: wp.mat3
     return along_i * to_index[0, axis] + along_j * to_index[1, axis] + along_k * to_index[2, axis]
 
 
-@wp.kernel
-def sample_nearest_kernel(
-    first: int,
-    volume: wp.uint64,
-    points: wp.array(dtype=wp.vec3d),
-    origin: wp.vec3d,
-    to_index: wp.mat33d,
-    background: Any,
-    out_value: wp.array(dtype=Any),
-):
-    i = first + wp.tid()
-    out_value[i] = nearest_value(volume, to_index * (points[i] - origin), background)
-
-
-@wp.kernel
-def sample_linear_kernel(
-    first: int,
-    volume: wp.uint64,
-    points: wp.array(dtype=wp.vec3d),
-    origin: wp.vec3d,
-    to_index: wp.mat33d,
-    background: Any,
-    out_value: wp.array(dtype=Any),
-):
-    i = first + wp.tid()
-    out_value[i] = linear_value(volume, to_index * (points[i] - origin), background)
+@wp.func
+def world_gradient(along_i: wp.float64, along_j: wp.float64, along_k: wp.float64, to_index: wp.mat33d) -> wp.vec3d:
+    return wp.vec3d(
+        world_derivative(along_i, along_j, along_k, to_index, 0),
+        world_derivative(along_i, along_j, along_k, to_index, 1),
+        world_derivative(along_i, along_j, along_k, to_index, 2),
+    )
 
 
 @wp.func
@@ -174,56 +155,67 @@ def store_column(table: wp.array3d(dtype=wp.float64), i: int, column: int, value
         table[i, row, column] = value[row]
 
 
-@wp.kernel
-def gradient_nearest_kernel(
-    first: int,
-    volume: wp.uint64,
-    points: wp.array(dtype=wp.vec3d),
-    origin: wp.vec3d,
-    to_index: wp.mat33d,
-    zero: Any,
-    out_jacobian: wp.array3d(dtype=wp.float64),
-):
-    i = first + wp.tid()
-    a, b, c = central_differences(volume, to_index * (points[i] - origin), zero)
-    for axis in range(3):
-        store_column(out_jacobian, i, axis, world_derivative(a, b, c, to_index, axis))
+def kernels_of(value: Any, differences: Any, module: Any = None) -> tuple[Any, Any]:
+    """Kernels of an interpolant, for values and for gradients.
+
+    Args:
+        value: The interpolant, a function of volume, index coordinates and background.
+        differences: Its derivatives along the index axes, a function of volume, index coordinates and zero.
+        module: Warp module of the kernels; None for that of this file.
+    """
+
+    @wp.kernel(module=module)
+    def sample_kernel(
+        first: int,
+        volume: wp.uint64,
+        points: wp.array(dtype=wp.vec3d),
+        origin: wp.vec3d,
+        to_index: wp.mat33d,
+        background: Any,
+        out_value: wp.array(dtype=Any),
+    ):
+        i = first + wp.tid()
+        out_value[i] = value(volume, to_index * (points[i] - origin), background)
+
+    @wp.kernel(module=module)
+    def gradient_kernel(
+        first: int,
+        volume: wp.uint64,
+        points: wp.array(dtype=wp.vec3d),
+        origin: wp.vec3d,
+        to_index: wp.mat33d,
+        zero: Any,
+        out_jacobian: wp.array3d(dtype=wp.float64),
+    ):
+        i = first + wp.tid()
+        a, b, c = differences(volume, to_index * (points[i] - origin), zero)
+        for axis in range(3):
+            store_column(out_jacobian, i, axis, world_derivative(a, b, c, to_index, axis))
+
+    return sample_kernel, gradient_kernel
 
 
-@wp.kernel
-def gradient_linear_kernel(
-    first: int,
-    volume: wp.uint64,
-    points: wp.array(dtype=wp.vec3d),
-    origin: wp.vec3d,
-    to_index: wp.mat33d,
-    zero: Any,
-    out_jacobian: wp.array3d(dtype=wp.float64),
-):
-    i = first + wp.tid()
-    a, b, c = linear_differences(volume, to_index * (points[i] - origin), zero)
-    for axis in range(3):
-        store_column(out_jacobian, i, axis, world_derivative(a, b, c, to_index, axis))
+# Components of a value, and its type.
+FAMILIES = {1: wp.float64, 3: wp.vec3d, 4: wp.vec4d}
 
 
-# Keys: components of a value.
-SAMPLE_NEAREST = {
-    1: wp.overload(sample_nearest_kernel, {"background": wp.float64, "out_value": wp.array(dtype=wp.float64)}),
-    3: wp.overload(sample_nearest_kernel, {"background": wp.vec3d, "out_value": wp.array(dtype=wp.vec3d)}),
-    4: wp.overload(sample_nearest_kernel, {"background": wp.vec4d, "out_value": wp.array(dtype=wp.vec4d)}),
-}
-SAMPLE_LINEAR = {
-    1: wp.overload(sample_linear_kernel, {"background": wp.float64, "out_value": wp.array(dtype=wp.float64)}),
-    3: wp.overload(sample_linear_kernel, {"background": wp.vec3d, "out_value": wp.array(dtype=wp.vec3d)}),
-    4: wp.overload(sample_linear_kernel, {"background": wp.vec4d, "out_value": wp.array(dtype=wp.vec4d)}),
-}
-GRADIENT_NEAREST = {
-    1: wp.overload(gradient_nearest_kernel, {"zero": wp.float64}),
-    3: wp.overload(gradient_nearest_kernel, {"zero": wp.vec3d}),
-    4: wp.overload(gradient_nearest_kernel, {"zero": wp.vec4d}),
-}
-GRADIENT_LINEAR = {
-    1: wp.overload(gradient_linear_kernel, {"zero": wp.float64}),
-    3: wp.overload(gradient_linear_kernel, {"zero": wp.vec3d}),
-    4: wp.overload(gradient_linear_kernel, {"zero": wp.vec4d}),
-}
+def sample_overloads(kernel: Any) -> dict[int, Any]:
+    """Overloads of a kernel, keyed by the components of a value."""
+    return {
+        count: wp.overload(kernel, {"background": family, "out_value": wp.array(dtype=family)})
+        for count, family in FAMILIES.items()
+    }
+
+
+def gradient_overloads(kernel: Any) -> dict[int, Any]:
+    """Overloads of a kernel, keyed by the components of a value."""
+    return {count: wp.overload(kernel, {"zero": family}) for count, family in FAMILIES.items()}
+
+
+sample_nearest_kernel, gradient_nearest_kernel = kernels_of(nearest_value, central_differences)
+sample_linear_kernel, gradient_linear_kernel = kernels_of(linear_value, linear_differences)
+SAMPLE_NEAREST, SAMPLE_LINEAR = sample_overloads(sample_nearest_kernel), sample_overloads(sample_linear_kernel)
+GRADIENT_NEAREST, GRADIENT_LINEAR = (
+    gradient_overloads(gradient_nearest_kernel),
+    gradient_overloads(gradient_linear_kernel),
+)

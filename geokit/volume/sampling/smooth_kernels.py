@@ -6,7 +6,7 @@ from typing import Any
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.volume.sampling.sample_kernels import has_voxels, store_column, world_derivative
+from geokit.volume.sampling.sample_kernels import has_voxels, kernels_of
 from geokit.volume.sampling.stencil_kernels import stencil_gradient, stencil_hessian, stencil_value, weights
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
@@ -33,7 +33,7 @@ def smooth_gradient(volume: wp.uint64, u: wp.vec3d, basis: Any, zero: Any):
     return stencil_gradient(volume, base, basis, weights(basis, f[0]), weights(basis, f[1]), weights(basis, f[2]), zero)
 
 
-def kernels_of(basis: Any, name: str) -> tuple[Any, Any, Any]:
+def smooth_kernels_of(basis: Any, name: str) -> tuple[Any, Any, Any]:
     """Three kernels of an interpolant: values, gradients, and gradients with Hessians of scalar grids.
 
     Args:
@@ -43,33 +43,14 @@ def kernels_of(basis: Any, name: str) -> tuple[Any, Any, Any]:
     module = wp.get_module(name)
     wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False}, module=module)
 
-    @wp.kernel(module=module)
-    def sample_kernel(
-        first: int,
-        volume: wp.uint64,
-        points: wp.array(dtype=wp.vec3d),
-        origin: wp.vec3d,
-        to_index: wp.mat33d,
-        background: Any,
-        out_value: wp.array(dtype=Any),
-    ):
-        i = first + wp.tid()
-        out_value[i] = smooth_value(volume, to_index * (points[i] - origin), basis(), background)
+    @wp.func
+    def value(volume: wp.uint64, u: wp.vec3d, background: Any):
+        return smooth_value(volume, u, basis(), background)
 
-    @wp.kernel(module=module)
-    def gradient_kernel(
-        first: int,
-        volume: wp.uint64,
-        points: wp.array(dtype=wp.vec3d),
-        origin: wp.vec3d,
-        to_index: wp.mat33d,
-        zero: Any,
-        out_jacobian: wp.array3d(dtype=wp.float64),
-    ):
-        i = first + wp.tid()
-        a, b, c = smooth_gradient(volume, to_index * (points[i] - origin), basis(), zero)
-        for axis in range(3):
-            store_column(out_jacobian, i, axis, world_derivative(a, b, c, to_index, axis))
+    @wp.func
+    def differences(volume: wp.uint64, u: wp.vec3d, zero: Any):
+        a, b, c = smooth_gradient(volume, u, basis(), zero)
+        return a, b, c
 
     @wp.kernel(module=module)
     def hessian_kernel(
@@ -96,22 +77,4 @@ def kernels_of(basis: Any, name: str) -> tuple[Any, Any, Any]:
         # Averaging with the transpose removes the asymmetry that rounding leaves.
         out_hessian[i] = (world + wp.transpose(world)) * wp.float64(0.5)
 
-    return sample_kernel, gradient_kernel, hessian_kernel
-
-
-def sample_overloads(kernel: Any) -> dict[int, Any]:
-    """Overloads of a kernel, keyed by the components of a value."""
-    return {
-        1: wp.overload(kernel, {"background": wp.float64, "out_value": wp.array(dtype=wp.float64)}),
-        3: wp.overload(kernel, {"background": wp.vec3d, "out_value": wp.array(dtype=wp.vec3d)}),
-        4: wp.overload(kernel, {"background": wp.vec4d, "out_value": wp.array(dtype=wp.vec4d)}),
-    }
-
-
-def gradient_overloads(kernel: Any) -> dict[int, Any]:
-    """Overloads of a kernel, keyed by the components of a value."""
-    return {
-        1: wp.overload(kernel, {"zero": wp.float64}),
-        3: wp.overload(kernel, {"zero": wp.vec3d}),
-        4: wp.overload(kernel, {"zero": wp.vec4d}),
-    }
+    return *kernels_of(value, differences, module), hessian_kernel

@@ -92,51 +92,23 @@ def weights(basis: Cubic, t: wp.float64) -> wp.mat44d:  # noqa: F811
     )  # fmt: skip
 
 
-@wp.func_native(cpp("volume/sampling/stencil_row.inl", defines={"COMPONENTS": "1"}))
-def read_row(
-    volume: wp.uint64,
-    grid_type: int,
-    near: wp.uint64,
-    far: wp.uint64,
-    i: int,
-    j: int,
-    k: int,
-    cut: int,
-    count: int,
-    center: wp.float64,
-) -> wp.vec4d:
-    """Differences of up to four voxels along the last axis from ``center``; near and far are nodes from node_of."""
-    ...
+for _components, _center, _row in ((1, wp.float64, wp.vec4d), (3, wp.vec3d, mat34d), (4, wp.vec4d, wp.mat44d)):
 
-
-@wp.func_native(cpp("volume/sampling/stencil_row.inl", defines={"COMPONENTS": "3"}))
-def read_row(  # noqa: F811
-    volume: wp.uint64,
-    grid_type: int,
-    near: wp.uint64,
-    far: wp.uint64,
-    i: int,
-    j: int,
-    k: int,
-    cut: int,
-    count: int,
-    center: wp.vec3d,
-) -> mat34d: ...
-
-
-@wp.func_native(cpp("volume/sampling/stencil_row.inl", defines={"COMPONENTS": "4"}))
-def read_row(  # noqa: F811
-    volume: wp.uint64,
-    grid_type: int,
-    near: wp.uint64,
-    far: wp.uint64,
-    i: int,
-    j: int,
-    k: int,
-    cut: int,
-    count: int,
-    center: wp.vec4d,
-) -> wp.mat44d: ...
+    @wp.func_native(cpp("volume/sampling/stencil_row.inl", defines={"COMPONENTS": str(_components)}))
+    def read_row(
+        volume: wp.uint64,
+        grid_type: int,
+        near: wp.uint64,
+        far: wp.uint64,
+        i: int,
+        j: int,
+        k: int,
+        cut: int,
+        count: int,
+        center: _center,
+    ) -> _row:
+        """Differences of up to four voxels along the last axis from ``center``; near and far are nodes from node_of."""
+        ...
 
 
 @wp.func
@@ -145,12 +117,7 @@ def along(row: wp.vec4d, weights: wp.vec4d):
 
 
 @wp.func
-def along(row: mat34d, weights: wp.vec4d):  # noqa: F811
-    return row * weights
-
-
-@wp.func
-def along(row: wp.mat44d, weights: wp.vec4d):  # noqa: F811
+def along(row: Any, weights: wp.vec4d):  # noqa: F811
     return row * weights
 
 
@@ -295,47 +262,28 @@ def _float_sums(derivatives: int, voxels: int) -> str:
     return cpp("volume/sampling/stencil_float.inl", defines={"DERIVATIVES": str(derivatives)}, count=voxels)
 
 
-# One overload for each basis.
-@wp.func_native(_float_sums(0, 3))
-def float_value(
-    volume: wp.uint64, i: int, j: int, k: int, basis: Quadratic, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d
-) -> wp.float64:
-    """stencil_value for float grids; (i, j, k) is the first voxel of the stencil."""
-    ...
+for _basis, _voxels in ((Quadratic, 3), (Cubic, 4)):
 
+    @wp.func_native(_float_sums(0, _voxels))
+    def float_value(
+        volume: wp.uint64, i: int, j: int, k: int, basis: _basis, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d
+    ) -> wp.float64:
+        """stencil_value for float grids; (i, j, k) is the first voxel of the stencil."""
+        ...
 
-@wp.func_native(_float_sums(0, 4))
-def float_value(  # noqa: F811
-    volume: wp.uint64, i: int, j: int, k: int, basis: Cubic, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d
-) -> wp.float64: ...
+    @wp.func_native(_float_sums(1, _voxels))
+    def float_gradient(
+        volume: wp.uint64, i: int, j: int, k: int, basis: _basis, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d
+    ) -> wp.vec3d:
+        """stencil_gradient for float grids."""
+        ...
 
-
-@wp.func_native(_float_sums(1, 3))
-def float_gradient(
-    volume: wp.uint64, i: int, j: int, k: int, basis: Quadratic, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d
-) -> wp.vec3d:
-    """stencil_gradient for float grids."""
-    ...
-
-
-@wp.func_native(_float_sums(1, 4))
-def float_gradient(  # noqa: F811
-    volume: wp.uint64, i: int, j: int, k: int, basis: Cubic, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d
-) -> wp.vec3d: ...
-
-
-@wp.func_native(_float_sums(2, 3))
-def float_hessian(
-    volume: wp.uint64, i: int, j: int, k: int, basis: Quadratic, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d
-) -> vec9d:
-    """stencil_hessian for float grids: first, second, and mixed derivatives of the pairs (j, k), (i, k), (i, j)."""
-    ...
-
-
-@wp.func_native(_float_sums(2, 4))
-def float_hessian(  # noqa: F811
-    volume: wp.uint64, i: int, j: int, k: int, basis: Cubic, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d
-) -> vec9d: ...
+    @wp.func_native(_float_sums(2, _voxels))
+    def float_hessian(
+        volume: wp.uint64, i: int, j: int, k: int, basis: _basis, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d
+    ) -> vec9d:
+        """stencil_hessian for float grids: first, second, and mixed derivatives of the pairs (j, k), (i, k), (i, j)."""
+        ...
 
 
 @wp.func

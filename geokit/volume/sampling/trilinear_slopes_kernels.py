@@ -12,7 +12,7 @@ import warp as wp
 
 from geokit.core.cpp import cpp
 from geokit.volume.sampling.leaf_table_kernels import LeafTable
-from geokit.volume.sampling.sample_kernels import linear_differences, linear_value, world_derivative
+from geokit.volume.sampling.sample_kernels import linear_differences, linear_value, world_gradient
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
 
@@ -48,11 +48,7 @@ def sample_slopes_at_once_kernel(
             out_nonfinite[0] = 1
         value = linear_value(volume, u, background)
         a, b, c = linear_differences(volume, u, wp.float64(0.0))
-        slope = wp.vec3d(
-            world_derivative(a, b, c, to_index, 0),
-            world_derivative(a, b, c, to_index, 1),
-            world_derivative(a, b, c, to_index, 2),
-        )
+        slope = world_gradient(a, b, c, to_index)
     out_value[i] = out_value.dtype(value)
     out_slopes[i] = out_slopes.dtype(slope)
 

@@ -16,7 +16,7 @@ import warp as wp
 
 from geokit.core.cpp import cpp
 from geokit.volume.sampling.leaf_table_kernels import LeafTable
-from geokit.volume.sampling.sample_kernels import linear_differences, linear_value, world_derivative
+from geokit.volume.sampling.sample_kernels import linear_differences, linear_value, world_gradient
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
 
@@ -31,55 +31,28 @@ def _cells(gradient: int, real: str | None = None) -> str:
     return cpp("volume/sampling/trilinear_cells.inl", defines=defines)
 
 
-# Overloads: values or gradients, and points and answers of each precision.
-@wp.func_native(_cells(0, "double"))
-def interpolate_group(
-    table: LeafTable,
-    start: int,
-    stop: int,
-    points: wp.array(dtype=wp.vec3d),
-    origin: wp.vec3d,
-    to_index: wp.mat33d,
-    out: wp.array(dtype=wp.float64),
-) -> wp.uint64:
-    """Answers the points ``start`` to ``stop``, 64 at most; returns a bit mask of those the table does not answer."""
-    ...
+# Values (0) and gradients (1), with points and answers of each precision.
+ANSWERS = (
+    (0, "double", wp.vec3d, wp.float64),
+    (0, "float", wp.vec3f, wp.float32),
+    (1, "double", wp.vec3d, wp.vec3d),
+    (1, "float", wp.vec3f, wp.vec3f),
+)
 
+for _gradient, _real, _point, _answer in ANSWERS:
 
-@wp.func_native(_cells(0, "float"))
-def interpolate_group(  # noqa: F811
-    table: LeafTable,
-    start: int,
-    stop: int,
-    points: wp.array(dtype=wp.vec3f),
-    origin: wp.vec3d,
-    to_index: wp.mat33d,
-    out: wp.array(dtype=wp.float32),
-) -> wp.uint64: ...
-
-
-@wp.func_native(_cells(1, "double"))
-def interpolate_group(  # noqa: F811
-    table: LeafTable,
-    start: int,
-    stop: int,
-    points: wp.array(dtype=wp.vec3d),
-    origin: wp.vec3d,
-    to_index: wp.mat33d,
-    out: wp.array(dtype=wp.vec3d),
-) -> wp.uint64: ...
-
-
-@wp.func_native(_cells(1, "float"))
-def interpolate_group(  # noqa: F811
-    table: LeafTable,
-    start: int,
-    stop: int,
-    points: wp.array(dtype=wp.vec3f),
-    origin: wp.vec3d,
-    to_index: wp.mat33d,
-    out: wp.array(dtype=wp.vec3f),
-) -> wp.uint64: ...
+    @wp.func_native(_cells(_gradient, _real))
+    def interpolate_group(
+        table: LeafTable,
+        start: int,
+        stop: int,
+        points: wp.array(dtype=_point),
+        origin: wp.vec3d,
+        to_index: wp.mat33d,
+        out: wp.array(dtype=_answer),
+    ) -> wp.uint64:
+        """Answers the points ``start`` to ``stop``, 64 at most; returns a bit mask of those that are left."""
+        ...
 
 
 # Overloads: values or gradients, by the type of the last argument.
@@ -103,11 +76,7 @@ def interpolate_by_tree(volume: wp.uint64, u: wp.vec3d, to_index: wp.mat33d, bac
 @wp.func
 def interpolate_by_tree(volume: wp.uint64, u: wp.vec3d, to_index: wp.mat33d, background: wp.vec3d):  # noqa: F811
     a, b, c = linear_differences(volume, u, wp.float64(0.0))
-    return wp.vec3d(
-        world_derivative(a, b, c, to_index, 0),
-        world_derivative(a, b, c, to_index, 1),
-        world_derivative(a, b, c, to_index, 2),
-    )
+    return world_gradient(a, b, c, to_index)
 
 
 @wp.func
