@@ -181,14 +181,15 @@ class _Rows:
         """Bit masks of the voxels that the band of each row's component may reach, (N, 8)."""
         import warp as wp
 
-        from geokit.volume.components.level_sets_kernels import grow_kernel
+        from geokit.volume.level_set.mask_dilation_kernels import grow_vertices_kernel
 
         rows = _DeviceRows(self, part, device)
         near = rows.inside
         # The surface runs less than a voxel along each axis from a voxel inside, and the band ends before its width.
         for _ in range(math.ceil(self.half_width)):
             grown = wp.empty_like(near)
-            launcher.launch(grow_kernel, 8 * len(part), [near, rows.beside], [grown], device, grain=GRAIN)
+            inputs = [near, wp.uint64(0), rows.beside]
+            launcher.launch(grow_vertices_kernel, 8 * len(part), inputs, [grown], device, grain=GRAIN)
             near = grown
         return near.numpy().reshape(-1, 8)
 
@@ -217,6 +218,7 @@ class _Rows:
         import warp as wp
 
         from geokit.volume.components import level_sets_kernels as kernels
+        from geokit.volume.level_set.mask_dilation_kernels import grow_vertices_kernel
 
         rows: Any = _DeviceRows(self, part, device)
         count = len(part)
@@ -229,8 +231,8 @@ class _Rows:
         for reach in TRUST_REACHES:
             near.append(wp.empty_like(others))
             grown = wp.empty_like(others)
-            launch(kernels.grow_kernel, [near[-2], rows.beside], [near[-1]])
-            launch(kernels.grow_kernel, [others, rows.beside], [grown])
+            launch(grow_vertices_kernel, [near[-2], wp.uint64(0), rows.beside], [near[-1]])
+            launch(grow_vertices_kernel, [others, wp.uint64(0), rows.beside], [grown])
             others = grown
             launch(kernels.trust_kernel, [rows.values, near[-1], others, wp.float64(reach), size], [rows.active])
         # Features of the known voxels on both sides extend the field to the voxels around the surface,

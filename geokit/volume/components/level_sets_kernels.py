@@ -10,7 +10,6 @@ import warp as wp
 from geokit.volume.level_set.feature_transform_kernels import distance_from
 from geokit.volume.level_set.features_kernels import Features
 from geokit.volume.level_set.leaf_neighbors_kernels import bit_of, place
-from geokit.volume.level_set.mask_dilation_kernels import cube_around
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
 
@@ -26,18 +25,6 @@ SAME_WAY = wp.constant(wp.float64(0.5))
 ASIDE = wp.constant(wp.float64(1.0))
 # The same where features next to edges are in doubt.
 FAR_ASIDE = wp.constant(wp.float64(1.2))
-
-
-@wp.kernel
-def grow_kernel(
-    first: int,
-    words: wp.array(dtype=wp.uint64),
-    beside: wp.array2d(dtype=int),
-    out_words: wp.array(dtype=wp.uint64),
-):
-    """Adds the 26 neighbors of set voxels."""
-    i = first + wp.tid()
-    out_words[i] = cube_around(words, wp.uint64(0), beside, i >> 3, i & 7)
 
 
 @wp.kernel

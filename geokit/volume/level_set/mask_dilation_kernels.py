@@ -141,40 +141,26 @@ def edges_around(
     )
 
 
-# With ``flip`` all zeros these are steps of dilation; with all ones steps of erosion, a dilation of the unset voxels.
+def _step_kernel(around: wp.Function) -> wp.Kernel:
+    """The kernel of a step to the neighbors that ``around`` reaches.
+
+    With ``flip`` all zeros it is a step of dilation; with all ones one of erosion, a dilation of the unset voxels.
+    """
+
+    @wp.kernel
+    def step_kernel(
+        first: int,
+        words: wp.array(dtype=wp.uint64),
+        flip: wp.uint64,
+        beside: wp.array2d(dtype=int),
+        out_words: wp.array(dtype=wp.uint64),
+    ):
+        i = first + wp.tid()
+        out_words[i] = around(words, flip, beside, i >> 3, i & 7) ^ flip
+
+    return step_kernel
 
 
-@wp.kernel
-def grow_faces_kernel(
-    first: int,
-    words: wp.array(dtype=wp.uint64),
-    flip: wp.uint64,
-    beside: wp.array2d(dtype=int),
-    out_words: wp.array(dtype=wp.uint64),
-):
-    i = first + wp.tid()
-    out_words[i] = faces_around(words, flip, beside, i >> 3, i & 7) ^ flip
-
-
-@wp.kernel
-def grow_edges_kernel(
-    first: int,
-    words: wp.array(dtype=wp.uint64),
-    flip: wp.uint64,
-    beside: wp.array2d(dtype=int),
-    out_words: wp.array(dtype=wp.uint64),
-):
-    i = first + wp.tid()
-    out_words[i] = edges_around(words, flip, beside, i >> 3, i & 7) ^ flip
-
-
-@wp.kernel
-def grow_vertices_kernel(
-    first: int,
-    words: wp.array(dtype=wp.uint64),
-    flip: wp.uint64,
-    beside: wp.array2d(dtype=int),
-    out_words: wp.array(dtype=wp.uint64),
-):
-    i = first + wp.tid()
-    out_words[i] = cube_around(words, flip, beside, i >> 3, i & 7) ^ flip
+grow_faces_kernel = _step_kernel(faces_around)
+grow_edges_kernel = _step_kernel(edges_around)
+grow_vertices_kernel = _step_kernel(cube_around)

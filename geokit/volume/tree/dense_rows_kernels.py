@@ -27,6 +27,16 @@ def read_int64(volume: wp.uint64, node: wp.uint64, i: int, j: int, k: int) -> wp
     ...
 
 
+@wp.func
+def voxel_in(volume: wp.uint64, kind: int, node: wp.uint64, i: int, j: int, k: int, family: wp.int64):
+    return read_int64(volume, node, i, j, k)
+
+
+@wp.func
+def voxel_in(volume: wp.uint64, kind: int, node: wp.uint64, i: int, j: int, k: int, family: Any):  # noqa: F811
+    return read_voxel(volume, kind, node, i, j, k, family)
+
+
 @wp.kernel
 def dense_kernel(
     first: int, volume: wp.uint64, lower: wp.vec3i, count_y: int, count_z: int, out_values: wp.array(dtype=Any)
@@ -44,26 +54,7 @@ def dense_kernel(
         if n == 0 or (k & 7) == 0:
             node = node_of(volume, kind, i, j, k)
         at = begin + wp.int64(n)
-        out_values[at] = read_voxel(volume, kind, node, i, j, k, out_values.dtype(0.0))
-
-
-@wp.kernel
-def exact_kernel(
-    first: int, volume: wp.uint64, lower: wp.vec3i, count_y: int, count_z: int, out_values: wp.array(dtype=wp.int64)
-):
-    """As dense_kernel, for int64 grids."""
-    row = first + wp.tid()
-    i = lower[0] + row // count_y
-    j = lower[1] + row % count_y
-    kind = grid_type_of(volume)
-    node = wp.uint64(0)
-    begin = wp.int64(row) * wp.int64(count_z)
-    for n in range(count_z):
-        k = lower[2] + n
-        if n == 0 or (k & 7) == 0:
-            node = node_of(volume, kind, i, j, k)
-        at = begin + wp.int64(n)
-        out_values[at] = read_int64(volume, node, i, j, k)
+        out_values[at] = voxel_in(volume, kind, node, i, j, k, out_values.dtype(0.0))
 
 
 @wp.kernel
@@ -89,3 +80,5 @@ DENSE_KERNELS = {
     components: wp.overload(dense_kernel, [*_SHARED, wp.array(dtype=dtype)])
     for components, dtype in ((1, wp.float64), (3, wp.vec3d), (4, wp.vec4d))
 }
+# Of int64 grids, without a way through float64.
+exact_kernel = wp.overload(dense_kernel, [*_SHARED, wp.array(dtype=wp.int64)])
