@@ -11,7 +11,7 @@ import geokit as gk
 METHODS = {
     name: method
     for name, method in inspect.getmembers(gk.volume.SparseVolume, inspect.isfunction)
-    if f"See :func:`geokit.volume.{name}`" in (method.__doc__ or "")
+    if f":func:`geokit.volume.{name}`" in (method.__doc__ or "")
 }
 
 

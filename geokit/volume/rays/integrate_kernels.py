@@ -10,7 +10,7 @@ from typing import Any
 import warp as wp
 
 from geokit.core import cpp
-from geokit.volume.rays.raycast_kernels import RayField, index_ray, is_usable
+from geokit.volume.rays.raycast_kernels import REGISTERS, RayField, index_ray, is_usable
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
@@ -58,7 +58,7 @@ def depth_and_emission(
     ...
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=REGISTERS)
 def depth_kernel(
     first: int,
     origins: wp.array(dtype=wp.vec3d),
