@@ -14,7 +14,7 @@ import warp as wp
 from geokit.core import launcher
 from geokit.core.base.query import Query
 from geokit.core.gradients.rules import Asked
-from geokit.core.gradients.sums_kernels import ADD, sum_rows_kernel
+from geokit.core.gradients.sums_kernels import ADD, number_kernel, sum_rows_kernel
 from geokit.core.interop.arrays import reinterpreted
 from geokit.core.memory.host_array import HostArray
 from geokit.core.memory.unchecked import sort_pairs
@@ -63,9 +63,9 @@ class WarpArrays:
         total = wp.empty(count, dtype=wp.vec3d, device=self.device)
         # The sort uses the second half of both arrays as scratch memory.
         keys = wp.empty(2 * len(index), dtype=wp.int32, device=self.device)
-        order = wp.array(np.arange(2 * len(index), dtype=np.int32), device=self.device)
+        order = wp.empty(2 * len(index), dtype=wp.int32, device=self.device)
         if len(index):
-            wp.copy(keys, index, count=len(index))
+            launcher.launch(number_kernel, len(index), [index], [keys, order], self.device)
             sort_pairs(keys, order, len(index))
         launcher.launch(sum_rows_kernel, count, [len(index), keys, order, rows], [total], self.device)
         return total

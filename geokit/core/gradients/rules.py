@@ -51,7 +51,7 @@ PLAIN = frozenset((bool, int, float, str, type(None)))
 
 
 class Rule(NamedTuple):
-    """How an answer depends on tensors; those of a tape of warp are arrays of NumPy here.
+    """How an answer depends on tensors. To ``build`` and ``pull``, those of a tape of warp are arrays of NumPy.
 
     Attributes:
         build: ``build(library, asked, answer)`` gives each output again as a function of the tensors, or None where an
@@ -83,7 +83,7 @@ class Rule(NamedTuple):
     pull: Callable[..., dict[str, Any]] | None = None
     is_traced: bool = True
     at_once: Callable[[Asked], tuple[tuple[Any, ...], Any] | None] | None = None
-    check: Callable[[Asked], None] | None = None
+    check: Callable[[Asked], object] | None = None
     shapes: Callable[..., list[tuple[tuple[int, ...], str]]] | None = None
 
 

@@ -10,6 +10,14 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
 @wp.kernel
+def number_kernel(first: int, index: wp.array(dtype=int), out_keys: wp.array(dtype=int), out_rows: wp.array(dtype=int)):
+    """Copy the numbers of rows, and number the rows."""
+    i = first + wp.tid()
+    out_keys[i] = index[i]
+    out_rows[i] = i
+
+
+@wp.kernel
 def sum_rows_kernel(
     first: int,
     rows_count: int,

@@ -21,15 +21,16 @@ ONE = wp.constant(wp.float64(1.0))
 
 @wp.struct
 class SlopedFaces:
-    """Faces of one mesh or of many; what is said of each mesh has a row for each of many."""
+    """Faces of one mesh or of many."""
 
     vertices: wp.array(dtype=wp.vec3d)
     faces: wp.array(dtype=int)
     # Where the winding shows outward, see Surface._outward; without rows for distances without signs.
     outward: wp.array(dtype=int)
-    # First face, and size, of each mesh.
-    begin: wp.array(dtype=int)
-    scale: wp.array(dtype=wp.float64)
+    # Size of the one mesh; first face and size of each of many.
+    scale: wp.float64
+    begins: wp.array(dtype=int)
+    scales: wp.array(dtype=wp.float64)
 
 
 @wp.struct
@@ -42,11 +43,19 @@ class Corners:
 
 
 @wp.func
-def mesh_of(owner: wp.array(dtype=int), row: int) -> int:
-    """The mesh that a row asks; ``owner`` has no rows if there is one mesh."""
+def face_of(mesh: SlopedFaces, owner: wp.array(dtype=int), row: int, face: int) -> int:
+    """The number of a row's face among all; ``owner`` has the mesh that each row asks, or no rows if there is one."""
     if owner.shape[0] > 0:
-        return owner[row]
-    return 0
+        return mesh.begins[owner[row]] + face
+    return face
+
+
+@wp.func
+def scale_of(mesh: SlopedFaces, owner: wp.array(dtype=int), row: int) -> wp.float64:
+    """The size of the mesh that a row asks."""
+    if owner.shape[0] > 0:
+        return mesh.scales[owner[row]]
+    return mesh.scale
 
 
 @wp.func
@@ -278,9 +287,8 @@ def foot_slopes_kernel(
     slopes = Corners()
     face = triangle_id[i]
     if face >= 0:
-        number = mesh_of(owner, i)
-        scale = mesh.scale[number]
-        face += mesh.begin[number]
+        scale = scale_of(mesh, owner, i)
+        face = face_of(mesh, owner, i, face)
         p = wp.vec3d(points[i])
         weights = wp.vec3d(barycentric[i])
         d = wp.float64(distance[i])

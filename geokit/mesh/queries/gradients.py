@@ -222,12 +222,12 @@ def _sloped_faces(surface: Any, signed: bool) -> Any:
         if hasattr(surface, "_packed"):
             vertices, faces = surface._packed
             found.vertices, found.faces = there(vertices, wp.vec3d), there(faces.ravel(), wp.int32)
-            begin, scale, outward = surface._begin[:-1], surface._scales, signed and surface._signs.outward
+            found.begins, found.scales = there(surface._begin[:-1], wp.int32), there(surface._scales, wp.float64)
         else:
-            found.vertices, found.faces = surface._vertices, surface._faces
-            begin, scale, outward = [0], [surface.scale], signed and surface._outward
-        found.outward = there(outward if signed else [], wp.int32)
-        found.begin, found.scale = there(begin, wp.int32), there(scale, wp.float64)
+            found.vertices, found.faces, found.scale = surface._vertices, surface._faces, wp.float64(surface.scale)
+        if signed:
+            outward = surface._signs.outward if hasattr(surface, "_packed") else surface._outward
+            found.outward = there(outward, wp.int32)
         return found
 
     return surface._cache.find(("sloped faces", signed), make)

@@ -11,8 +11,8 @@ from geokit.mesh.queries.foot_slopes_kernels import (
     Corners,
     SlopedFaces,
     corners_of,
+    face_of,
     give,
-    mesh_of,
     overloads,
     shared,
 )
@@ -47,7 +47,7 @@ def hit_slopes_kernel(
     slopes = Corners()
     face = triangle_id[i]
     if face >= 0:
-        face += mesh.begin[mesh_of(owner, i)]
+        face = face_of(mesh, owner, i, face)
         on = corners_of(mesh, face)
         along = wp.vec3d(directions[i])
         normal = wp.cross(on.b - on.a, on.c - on.a)

@@ -397,14 +397,6 @@ class SignQueries(PointQueries):
         outward[faces_without_area(mesh)] = 0
         return outward
 
-    @cached_property
-    def _outward_sides(self) -> "wp.array":
-        """The same on the device, for gradients."""
-        import warp as wp
-
-        sides: Any = wp.array(self._outward, dtype=wp.int32, device=self._device)
-        return sides
-
     @property
     def is_closed(self) -> bool:
         """True if the mesh is closed: every edge joins exactly two triangles, with the same winding.

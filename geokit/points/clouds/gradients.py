@@ -43,10 +43,6 @@ def _kernel(asked: Asked) -> str:
     return kernel
 
 
-def _check(asked: Asked) -> None:
-    _kernel(asked)
-
-
 def _density(library: Library, asked: Asked, answer: Any) -> tuple[Any, ...]:
     kernel, radius = _kernel(asked), float(asked.arguments["radius"])
     points = asked.tensors["points"]
@@ -96,4 +92,4 @@ def _shapes(asked: Asked) -> list[tuple[tuple[int, ...], str]]:
     return [((asked.tensors.get("queries", asked.tensors["points"]).shape[0],), "float")]
 
 
-DENSITY = Rule((True,), _density, prepare=_pairs, adjoint=_adjoint, is_traced=False, check=_check, shapes=_shapes)
+DENSITY = Rule((True,), _density, prepare=_pairs, adjoint=_adjoint, is_traced=False, check=_kernel, shapes=_shapes)

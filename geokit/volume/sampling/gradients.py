@@ -112,10 +112,6 @@ def _order(asked: Asked) -> int:
     return order
 
 
-def _check_sample(asked: Asked) -> None:
-    _order(asked)
-
-
 def _check_gradient(asked: Asked) -> None:
     _order(asked)
     components = COMPONENTS.get(asked.arguments["volume"].info.grid_type, 1)
@@ -280,7 +276,7 @@ SAMPLE = Rule(
     pull=_pull_sample,
     adjoint=_sample_adjoint,
     at_once=_sample_at_once,
-    check=_check_sample,
+    check=_order,
     shapes=_shapes((), of=True),
 )
 GRADIENT = Rule((True,), pull=_pull_gradient, check=_check_gradient, shapes=_shapes((3,), of=True))
