@@ -58,6 +58,9 @@ def test_images_within_the_radius(clouds):
 
     check(lambda a, b: made(a).neighbor_list(b).distance, *clouds)
     check(lambda a: made(a).neighbor_list(exclude_self=True, order="distance").distance, clouds[0])
+    # Points and queries outside of the cell, and points that have no gradients.
+    far = made(3.0 * clouds[0] - 1.0)
+    check(lambda b: far.neighbor_list(b).distance, 3.0 * clouds[1] - 1.0)
     with pytest.raises(InputError, match=r"radius_search: distances to images .* use neighbor_list\(\)"):
         made(clouds[0].requires_grad_()).radius_search().distance.sum().backward()
 

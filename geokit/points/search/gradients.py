@@ -31,7 +31,7 @@ def _both(library: Library, asked: Asked) -> tuple[Any, Any]:
     tensors = asked.tensors
     points = tensors.get("points")
     if points is None:
-        points = library.constant(asked.arguments["self"]._points().numpy(), next(iter(tensors.values())))
+        points = library.constant(asked.arguments["self"]._given().numpy(), next(iter(tensors.values())))
     return tensors.get("queries", points), points
 
 
