@@ -28,7 +28,6 @@ CEILINGS = {
     "files in mesh/queries": 31,
     "files in native/src": 42,
     "files in points/search": 33,
-    "files in volume/isosurface": 40,
     "files in volume/sampling": 30,
     "files in volume/tree": 40,
     "folders in knots": 0,

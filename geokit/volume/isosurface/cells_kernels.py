@@ -9,7 +9,7 @@ the voxels of 64 cells at once. Only functions that read values depend on their 
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 from geokit.volume.nanovdb.read_voxel_kernels import grid_type_of, node_of, read_voxel
 from geokit.volume.sampling.active_kernels import is_active
 
@@ -19,10 +19,6 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll":
 RECORD = 4
 # A reference to a tile instead of a leaf is -1 - (inside + 2 * active).
 INSIDE_TILE, ACTIVE_TILE = wp.constant(1), wp.constant(2)
-
-# C++ files for the planes of a block, and for the blocks around one.
-PLANES = ("core/simd.inl", "volume/isosurface/block_planes.inl")
-AROUND = ("volume/isosurface/leaf_index.inl", "volume/isosurface/blocks_around.inl")
 
 
 @wp.struct
@@ -58,46 +54,35 @@ class Tree:
     leaf_slot: wp.array(dtype=int)
 
 
-_ROW_SIDES_SNIPPET = """
-    const float* value = (const float*)(cells.values + cells.stride * (unsigned long long)(row >> 6)) + 8 * (row & 63);
-    unsigned char bits = 0;
-    for (int z = 0; z < 8; ++z) bits |= (unsigned char)(value[z] < limit) << z;
-    ((unsigned char*)cells.sides.data)[row] = bits;
-"""
-
-
-@wp.func_native(cpp("core/simd.inl", "volume/isosurface/leaf_sides.inl"))
+@cpp.func_native("volume/isosurface/cells.inl")
 def leaf_sides(cells: Cells, leaf: int, limit: wp.float32):
     """Writes the eight planes of a leaf: bit masks of the voxels below the limit."""
     ...
 
 
-@wp.func_native(_ROW_SIDES_SNIPPET)
+@cpp.func_native("volume/isosurface/cells.inl")
 def row_sides(cells: Cells, row: int, limit: wp.float32):
     """Writes a row of eight voxels of a leaf: a byte of a plane."""
     ...
 
 
-@wp.func_native(cpp("volume/isosurface/lower_at.inl"))
+@cpp.func_native("volume/isosurface/cells.inl")
 def lower_at(volume: wp.uint64, grid_type: int, tree: Tree, i: int, j: int, k: int) -> wp.int64: ...
 
 
-@wp.func_native(
-    "const int lower = tree.leaf_lower.data[leaf], slot = tree.leaf_slot.data[leaf];"
-    + cpp(*AROUND, "volume/isosurface/link_leaf.inl")
-)
+@cpp.func_native("volume/isosurface/cells.inl")
 def link_leaf(cells: Cells, tree: Tree, leaf: int) -> int:
     """Finds the blocks above a leaf; returns the tiles below it that may have crossed cells, a bit per direction."""
     ...
 
 
-@wp.func_native(cpp("volume/isosurface/leaf_index.inl") + "return leaf_index(node & ~1ull);\n")
+@cpp.func_native("volume/isosurface/cells.inl")
 def leaf_at(cells: Cells, tree: Tree, node: wp.uint64) -> int:
     """The number of a leaf, from its node as node_of returns it."""
     ...
 
 
-@wp.func_native(cpp(*PLANES, "volume/isosurface/is_mixed.inl"))
+@cpp.func_native("volume/isosurface/cells.inl")
 def is_mixed(cells: Cells, block: int) -> bool:
     """Whether the corners of a block's cells are not all on the same side."""
     ...

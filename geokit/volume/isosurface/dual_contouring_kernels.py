@@ -9,9 +9,9 @@ next to an edge of the surface the other side belongs to another face.
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
-from geokit.volume.isosurface.cells_kernels import RECORD, Cells, Tree, leaf_at, value_at
-from geokit.volume.isosurface.surface_nets_kernels import END, SHEETS, Nets
+from geokit.core import cpp
+from geokit.volume.isosurface.cells_kernels import Cells, Tree, leaf_at, value_at
+from geokit.volume.isosurface.surface_nets_kernels import NUMBERS, Nets
 from geokit.volume.nanovdb.read_voxel_kernels import grid_type_of, is_leaf, node_of
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
@@ -30,17 +30,8 @@ FAR = 0.7
 NO_SLOPE = 1.0e-6
 
 
-@wp.func_native(
-    cpp(
-        *SHEETS,
-        "volume/isosurface/dual_contouring.inl",
-        RECORD=RECORD,
-        FLAT=FLAT,
-        SWEEPS=SWEEPS,
-        FAR=FAR,
-        NO_SLOPE=NO_SLOPE,
-        END=END,
-    )
+@cpp.func_native(
+    "volume/isosurface/dual_contouring.inl", FLAT=FLAT, SWEEPS=SWEEPS, FAR=FAR, NO_SLOPE=NO_SLOPE, **NUMBERS
 )
 def sharpen_plane(
     cells: Cells,

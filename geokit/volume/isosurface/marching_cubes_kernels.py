@@ -10,8 +10,8 @@ triangles that would need it are left out.
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
-from geokit.volume.isosurface.cells_kernels import PLANES, Cells, value_at
+from geokit.core import cpp
+from geokit.volume.isosurface.cells_kernels import Cells, value_at
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
@@ -22,15 +22,12 @@ RECORD = wp.constant(3)
 # in float64 at index 2^30.
 END = 1.0e-6
 
-# C++ files for a plane of cells, and for the crossing of an edge.
-PLANE = (*PLANES, "volume/isosurface/cube_planes.inl")
-VERTEX = (*PLANES, "volume/isosurface/cube_vertex.inl")
 TRIANGLES_SHIFT = wp.constant(16)
 HAS_DEAD = wp.constant(1 << 30)
 COUNT_MASK = wp.constant(0xFFF)
 
 
-@wp.func_native(cpp(*PLANE, "volume/isosurface/count_cubes.inl"))
+@cpp.func_native("volume/isosurface/marching_cubes.inl", END=END)
 def count_plane(
     cells: Cells,
     start: wp.array(dtype=int),
@@ -42,7 +39,7 @@ def count_plane(
     ...
 
 
-@wp.func_native(cpp(*VERTEX, "volume/isosurface/place_cube_vertices.inl", END=END))
+@cpp.func_native("volume/isosurface/marching_cubes.inl", END=END)
 def place_vertices(
     cells: Cells,
     plane: int,
@@ -56,7 +53,7 @@ def place_vertices(
     ...
 
 
-@wp.func_native(cpp(*VERTEX, "volume/isosurface/place_cube_vertex.inl", END=END))
+@cpp.func_native("volume/isosurface/marching_cubes.inl", END=END)
 def place_vertex(
     cells: Cells,
     plane: int,
@@ -74,7 +71,7 @@ def place_vertex(
     ...
 
 
-@wp.func_native(cpp(*PLANE, "volume/isosurface/place_cube_triangles.inl"))
+@cpp.func_native("volume/isosurface/marching_cubes.inl", END=END)
 def place_triangles(
     cells: Cells,
     start: wp.array(dtype=int),

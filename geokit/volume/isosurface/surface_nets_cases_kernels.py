@@ -9,8 +9,8 @@ both cells, and each cell has one sheet more.
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
-from geokit.volume.isosurface.cells_kernels import PLANES, RECORD, Cells, value_at
+from geokit.core import cpp
+from geokit.volume.isosurface.cells_kernels import RECORD, Cells, value_at
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
@@ -19,11 +19,10 @@ QUADS_SHIFT = 16
 HAS_PROBLEM, HAS_DEAD = wp.constant(1 << 30), wp.constant(1 << 29)
 COUNT_MASK = wp.constant(0xFFF)
 
-# C++ files for the sheets in a cell.
-CASES = (*PLANES, "volume/isosurface/sheet_cases.inl")
+NUMBERS = {"RECORD": RECORD, "QUADS_SHIFT": QUADS_SHIFT}
 
 
-@wp.func_native(cpp(*CASES, "volume/isosurface/count_sheets.inl", RECORD=RECORD, QUADS_SHIFT=QUADS_SHIFT))
+@cpp.func_native("volume/isosurface/surface_nets_cases.inl", **NUMBERS)
 def count_plane(
     cells: Cells,
     table: wp.array(dtype=wp.uint32),
@@ -36,7 +35,7 @@ def count_plane(
     ...
 
 
-@wp.func_native(cpp(*CASES, "volume/isosurface/case_at.inl"))
+@cpp.func_native("volume/isosurface/surface_nets_cases.inl", **NUMBERS)
 def case_at(
     cells: Cells, table: wp.array(dtype=wp.uint32), flips: wp.array(dtype=wp.uint64), plane: int, bit: int
 ) -> int:

@@ -10,9 +10,9 @@ block or in blocks above.
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
-from geokit.volume.isosurface.cells_kernels import RECORD, Cells, value_at
-from geokit.volume.isosurface.surface_nets_cases_kernels import CASES
+from geokit.core import cpp
+from geokit.volume.isosurface import surface_nets_cases_kernels
+from geokit.volume.isosurface.cells_kernels import Cells, value_at
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
@@ -23,9 +23,7 @@ vec8d = wp.types.vector(length=8, dtype=wp.float64)
 # in float64 at index 2^30.
 END = 1.0e-6
 
-# C++ files for the sheets in a cell, and for the vertices of a cell.
-SHEETS = ("volume/isosurface/nets.inl", *CASES)
-VERTEX = (*SHEETS, "volume/isosurface/net_vertex.inl")
+NUMBERS = {**surface_nets_cases_kernels.NUMBERS, "END": END}
 
 
 @wp.struct
@@ -39,7 +37,7 @@ class Nets:
     base: wp.array(dtype=int)  # first vertex of each plane
 
 
-@wp.func_native(cpp(*VERTEX, "volume/isosurface/place_net_vertices.inl", RECORD=RECORD, END=END))
+@cpp.func_native("volume/isosurface/surface_nets.inl", **NUMBERS)
 def place_vertices(
     cells: Cells,
     nets: Nets,
@@ -52,7 +50,7 @@ def place_vertices(
     ...
 
 
-@wp.func_native(cpp(*VERTEX, "volume/isosurface/place_net_vertex.inl", RECORD=RECORD, END=END))
+@cpp.func_native("volume/isosurface/surface_nets.inl", **NUMBERS)
 def place_vertex(
     cells: Cells,
     nets: Nets,
@@ -67,7 +65,7 @@ def place_vertex(
     ...
 
 
-@wp.func_native(cpp(*SHEETS, "volume/isosurface/place_net_quads.inl", RECORD=RECORD))
+@cpp.func_native("volume/isosurface/surface_nets.inl", **NUMBERS)
 def place_quads(
     cells: Cells,
     nets: Nets,

@@ -4,10 +4,9 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 from geokit.volume.isosurface.cells_kernels import (
     ACTIVE_TILE,
-    AROUND,
     INSIDE_TILE,
     Cells,
     Tree,
@@ -20,13 +19,13 @@ from geokit.volume.nanovdb.read_voxel_kernels import grid_type_of, is_leaf, node
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
 
-@wp.func_native(cpp(*AROUND, "volume/isosurface/border_of_tile.inl"))
+@cpp.func_native("volume/isosurface/tile_border_cells.inl")
 def tile_border(cells: Cells, tree: Tree, lower: int, slot: int) -> int:
     """The active tile in a slot and the tiles below it that may have crossed cells, a bit per direction."""
     ...
 
 
-@wp.func_native(cpp("volume/isosurface/find_border_block.inl"))
+@cpp.func_native("volume/isosurface/tile_border_cells.inl")
 def find_border_block(cells: Cells, border_count: int, i: int, j: int, k: int) -> int:
     """The border block that starts at a voxel, -1 for none."""
     ...
