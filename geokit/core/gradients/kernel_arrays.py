@@ -78,10 +78,10 @@ def pulled_by_kernel(
     adjoint = query.rule().adjoint
     rows = [asked.tensors[name] for name in query.inputs if name in asked.tensors]
     given = [*rows, *answer, *(slope for slope in slopes if slope is not None)]
-    if adjoint is None or not rows or not all(map(_is_taken, given)):
+    if adjoint is None or not all(map(_is_taken, given)):
         return None
     devices = {str(getattr(array, "device", "cpu")) for array in given}
-    numbers = {_numbers_of(array) for array in given} - {wp.int32}
+    numbers = {_numbers_of(array) for array in given} - {wp.int32, wp.int64}
     if len(devices) > 1 or len(numbers) > 1 or not numbers.issubset(_VECTORS):
         return None
     (device,), (number,) = devices, numbers

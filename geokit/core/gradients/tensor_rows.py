@@ -73,7 +73,7 @@ class TensorArrays:
         """A new tensor of ``count`` numbers or rows, of the coordinates' type if no other is given."""
         import warp as wp
 
-        kind = {wp.float64: torch.float64, wp.int32: torch.int32, None: self._like.dtype}[number]
+        kind = {wp.float64: torch.float64, wp.int32: torch.int32, wp.int64: torch.int64, None: self._like.dtype}[number]
         return self._like.new_empty((count, 3) if width == 3 else count, dtype=kind)
 
     def launch(self, kernel: Any, count: int, inputs: Sequence[Any], outputs: Sequence[Any]) -> None:
@@ -96,7 +96,8 @@ def number_of(tensor: Any) -> Any:
     """The type of a tensor's numbers in kernels."""
     import warp as wp
 
-    return {torch.float32: wp.float32, torch.float64: wp.float64, torch.int32: wp.int32}[tensor.dtype]
+    known = {torch.float32: wp.float32, torch.float64: wp.float64, torch.int32: wp.int32, torch.int64: wp.int64}
+    return known[tensor.dtype]
 
 
 def launch(kernel: Any, count: int, inputs: Sequence[Any], outputs: Sequence[Any], device: "wp.Device") -> None:

@@ -75,9 +75,9 @@ def by_kernel(query: Query, asked: Asked, answer: Any, slopes: Any, wanted: list
         return None
     rows = [asked.tensors[name] for name in query.inputs if name in asked.tensors]
     given = [*rows, *(out for out in (*answer, *slopes) if out is not None and out.is_floating_point())]
-    if not rows or any(one.dtype != rows[0].dtype or one.device != rows[0].device for one in given):
+    if any(one.dtype != given[0].dtype or one.device != given[0].device for one in given):
         return None
-    found = adjoint(asked, answer, slopes, wanted, TensorArrays(rows[0], _Add.forward))
+    found = adjoint(asked, answer, slopes, wanted, TensorArrays(given[0], _Add.forward))
     return found and {name: part.reshape(asked.tensors[name].shape) for name, part in found.items()}
 
 
