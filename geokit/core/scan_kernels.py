@@ -6,7 +6,7 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
 
-__all__ = ["last_kernel", "part_of", "widen_kernel"]
+__all__ = ["begin_of", "last_kernel", "part_of", "widen_kernel"]
 
 
 @wp.func
@@ -17,6 +17,15 @@ def part_of(offsets: wp.array(dtype=int), item: int) -> int:
     the length of its array.
     """
     return wp.lower_bound(offsets, item + 1) - 1
+
+
+@wp.func
+def begin_of(ends: wp.array(dtype=int), part: int) -> int:
+    """Where a part begins, given where each ends: the sums of its items and of those of all parts before it."""
+    begin = int(0)
+    if part > 0:
+        begin = ends[part - 1]
+    return begin
 
 
 @wp.kernel

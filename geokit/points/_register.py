@@ -296,12 +296,12 @@ def _in_order(points: "wp.array", center: NDArray[np.float64], radius: float) ->
     """The points along a space-filling curve: consecutive points have partners that are close in memory."""
     import warp as wp
 
-    from geokit.points.clouds.register_kernels import order_kernel
+    from geokit.core.gather_kernels import GATHER
 
     device: Any = points.device
     order = launcher.morton_order(points, center - radius, 2.0 * radius, device)
     ordered = wp.empty(len(points), dtype=wp.vec3d, device=device)
-    launcher.launch(order_kernel, len(points), [points, order], [ordered], device)
+    launcher.launch(GATHER[wp.vec3d], len(points), [points, order], [ordered], device)
     return ordered
 
 

@@ -33,8 +33,8 @@ def farthest_points(points: "wp.array", count: int, start: int) -> tuple["wp.arr
     """
     import warp as wp
 
+    from geokit.core.gather_kernels import GATHER
     from geokit.points.clouds import farthest_points_kernels as kernels
-    from geokit.points.clouds.gather_kernels import gather_kernel
 
     device: Any = points.device
     n = len(points)
@@ -68,7 +68,7 @@ def farthest_points(points: "wp.array", count: int, start: int) -> tuple["wp.arr
     threads = 1 if device.is_cpu else launcher.BLOCK_DIM
     launcher.launch(kernels.greedy_kernel, threads, [cloud, first, count], [indices], device)
     taken = wp.empty(count, dtype=wp.vec3d, device=device)
-    launcher.launch(gather_kernel, count, [points, indices], [taken], device)
+    launcher.launch(GATHER[wp.vec3d], count, [points, indices], [taken], device)
     return taken, indices
 
 

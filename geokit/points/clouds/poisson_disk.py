@@ -37,8 +37,8 @@ def poisson_disk_subset(points: "wp.array", radius: float, seed: int) -> tuple["
     """
     import warp as wp
 
+    from geokit.core.gather_kernels import GATHER
     from geokit.points.clouds import poisson_disk_kernels as kernels
-    from geokit.points.clouds.gather_kernels import gather_kernel
 
     device: Any = points.device
     count = len(points)
@@ -54,7 +54,7 @@ def poisson_disk_subset(points: "wp.array", radius: float, seed: int) -> tuple["
     taken = wp.zeros(count, dtype=wp.int32, device=device)
     while len(waiting):
         rows = wp.empty(len(waiting), dtype=wp.vec3d, device=device)
-        launcher.launch(gather_kernel, len(waiting), [points, waiting], [rows], device)
+        launcher.launch(GATHER[wp.vec3d], len(waiting), [points, waiting], [rows], device)
         grid = NeighborGrid(rows, radius, device=device)._cells_for(radius).grid
         # By sorted position: 1 is taken, 2 is rejected.
         state = wp.zeros(len(waiting), dtype=wp.int8, device=device)

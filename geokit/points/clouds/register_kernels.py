@@ -23,17 +23,6 @@ EACH = wp.constant(wp.float64(1.0 / 7.0))
 
 
 @wp.kernel
-def order_kernel(
-    first: int,
-    points: wp.array(dtype=wp.vec3d),
-    order: wp.array(dtype=wp.int32),
-    out_points: wp.array(dtype=wp.vec3d),
-):
-    i = first + wp.tid()
-    out_points[i] = points[order[i]]
-
-
-@wp.kernel
 def move_kernel(
     first: int,
     points: wp.array(dtype=wp.vec3d),

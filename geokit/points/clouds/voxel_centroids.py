@@ -221,7 +221,7 @@ def _sorted_by(points: "wp.array", keys: Any, key_count: int) -> VoxelOrder:
     """Points sorted by ascending key, stable; the keys are in the first half of an array."""
     import warp as wp
 
-    from geokit.points.clouds.gather_kernels import gather_kernel
+    from geokit.core.gather_kernels import GATHER
     from geokit.points.clouds.voxel_centroids_kernels import begin_kernel
 
     device: Any = points.device
@@ -234,7 +234,7 @@ def _sorted_by(points: "wp.array", keys: Any, key_count: int) -> VoxelOrder:
     begin = wp.empty(run_count + 1, dtype=wp.int32, device=device)
     launcher.launch(begin_kernel, count, [numbers], [begin], device)
     rows = wp.empty(count, dtype=wp.vec3d, device=device)
-    launcher.launch(gather_kernel, count, [points, order], [rows], device)
+    launcher.launch(GATHER[wp.vec3d], count, [points, order], [rows], device)
     return VoxelOrder(rows, order, begin)
 
 

@@ -4,6 +4,8 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.core.scan_kernels import begin_of
+
 # Voxels and sums have the same bits on every device.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
@@ -220,9 +222,7 @@ def first_of_piece(
     piece: wp.int32, run: wp.int32, begin: wp.array(dtype=wp.int32), piece_end: wp.array(dtype=wp.int32)
 ) -> wp.int32:
     """First position of a piece."""
-    before = wp.int32(0)
-    if run > 0:
-        before = piece_end[run - 1]
+    before = begin_of(piece_end, run)
     return begin[run] + (piece - before) * PIECE
 
 
@@ -253,9 +253,7 @@ def mean_kernel(
 ):
     """Centroid of each run from the sums of its pieces, relative to its first point and in world coordinates."""
     i = first + wp.tid()
-    before = wp.int32(0)
-    if i > 0:
-        before = piece_end[i - 1]
+    before = begin_of(piece_end, i)
     total = wp.vec3d()
     for piece in range(before, piece_end[i]):
         total += piece_sum[piece]
@@ -293,9 +291,7 @@ def nearest_kernel(
 ):
     """The point of each run nearest to its centroid, selected among the candidates of its pieces."""
     i = first + wp.tid()
-    before = wp.int32(0)
-    if i > 0:
-        before = piece_end[i - 1]
+    before = begin_of(piece_end, i)
     origin = points[begin[i]]
     nearest = wp.float64(wp.inf)
     at = begin[i]

@@ -9,6 +9,7 @@ balls may reach. So the balls that matter to a block lie in its bucket and the 2
 import warp as wp
 
 from geokit.core.cpp import cpp
+from geokit.core.scan_kernels import begin_of
 
 vec8d = wp.types.vector(length=8, dtype=wp.float64)
 
@@ -238,7 +239,5 @@ def distance_kernel(
     x = wp.float64(corner[0] + row // 8)
     y = wp.float64(corner[1] + row % 8)
     z = wp.float64(corner[2])
-    begin = int(0)
-    if i > 0:
-        begin = end[i - 1]
+    begin = begin_of(end, i)
     out_distance[i, row] = least_distances(balls, ball, begin, end[i], x, y, z, band, SLACK)

@@ -199,6 +199,7 @@ def in_grid_order(
     """
     import warp as wp
 
+    from geokit.core.gather_kernels import GATHER
     from geokit.volume.band import tiles_kernels as kernels
 
     device = cells.device
@@ -211,7 +212,7 @@ def in_grid_order(
     if count > 1:
         sort_pairs(keys, rows, count, end_bit=63)
     tiles = wp.empty(count, dtype=wp.vec3i, device=device)
-    launcher.launch(kernels.gather_tiles_kernel, count, [cells, rows], [tiles], device)
+    launcher.launch(GATHER[wp.vec3i], count, [cells, rows], [tiles], device)
     # NanoVDB's keys sort negative coordinates last, and so does tile_keys_kernel.
     lines = [np.arange(a, b + 1) for a, b in zip(first, last, strict=True)]
     axes = tuple(np.concatenate([line[line >= 0], line[line < 0]]) for line in lines)

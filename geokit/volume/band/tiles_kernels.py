@@ -115,14 +115,6 @@ def tile_keys_kernel(
 
 
 @wp.kernel
-def gather_tiles_kernel(
-    first: int, cells: wp.array(dtype=wp.vec3i), rows: wp.array(dtype=int), out_tiles: wp.array(dtype=wp.vec3i)
-):
-    i = first + wp.tid()
-    out_tiles[i] = cells[rows[i]]
-
-
-@wp.kernel
 def area_kernel(
     first: int,
     vertices: wp.array(dtype=wp.vec3d),

@@ -13,6 +13,7 @@ import warp as wp
 
 from geokit.core.atomic_kernels import add_to, unite
 from geokit.core.cpp import cpp
+from geokit.core.scan_kernels import begin_of
 from geokit.points.search.neighbors_kernels import lowest_bit
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -142,9 +143,7 @@ def number_roots_kernel(
 ):
     """Numbers the components in the order of their roots, from 0; the roots get -1 minus their number."""
     r = first + wp.tid()
-    number = int(0)
-    if r > 0:
-        number = ends[r - 1]
+    number = begin_of(ends, r)
     for x in range(8):
         rest = firsts[8 * r + x]
         while rest != wp.uint64(0):

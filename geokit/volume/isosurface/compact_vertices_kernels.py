@@ -25,9 +25,3 @@ def keep_used_kernel(
     vertex = first + wp.tid()
     if used[vertex] != 0:
         out_vertices[place[vertex]] = vertices[vertex]
-
-
-@wp.kernel
-def renumber_kernel(first: int, faces: wp.array(dtype=int), place: wp.array(dtype=int), out_faces: wp.array(dtype=int)):
-    corner = first + wp.tid()
-    out_faces[corner] = place[faces[corner]]

@@ -86,6 +86,7 @@ def used_only(vertices: "wp.array", faces: "wp.array") -> tuple["wp.array", "wp.
     """
     import warp as wp
 
+    from geokit.core.gather_kernels import GATHER
     from geokit.volume.isosurface import compact_vertices_kernels as kernels
 
     device = vertices.device
@@ -98,7 +99,7 @@ def used_only(vertices: "wp.array", faces: "wp.array") -> tuple["wp.array", "wp.
     kept = wp.empty(count, dtype=wp.vec3d, device=device)
     launch_even(kernels.keep_used_kernel, len(vertices), [vertices, used, place], [kept], device)
     renumbered = wp.empty(len(faces), dtype=wp.int32, device=device)
-    launch_even(kernels.renumber_kernel, len(faces), [faces, place], [renumbered], device)
+    launch_even(GATHER[wp.int32], len(faces), [place, faces], [renumbered], device)
     return kept, renumbered
 
 

@@ -10,6 +10,7 @@ side is 1 inside, and -1 for no feature.
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.core.scan_kernels import begin_of
 from geokit.volume.level_set.leaf_neighbors_kernels import bit_of, place
 from geokit.volume.level_set.mask_dilation_kernels import cube_around
 
@@ -280,9 +281,7 @@ def features_kernel(
 ):
     """Writes the features of a plane, and their names at their own voxels."""
     i = first + wp.tid()
-    f = int(0)
-    if i > 0:
-        f = ends[i - 1]
+    f = begin_of(ends, i)
     for n in range(64):
         at = (i << 6) + n
         if bit_of(chosen, at):
@@ -347,9 +346,7 @@ def straighten_kernel(
     distance times the gradient of the slope; ``rise`` is the latter gradient divided by the slope.
     """
     i = first + wp.tid()
-    f = int(0)
-    if i > 0:
-        f = ends[i - 1]
+    f = begin_of(ends, i)
     for n in range(64):
         at = (i << 6) + n
         if bit_of(chosen, at):

@@ -10,6 +10,7 @@ field is one of distances. ``leaf_neighbors_kernels`` defines rows, elements and
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.core.scan_kernels import begin_of
 from geokit.volume.level_set.feature_transform_kernels import distance_from
 from geokit.volume.level_set.features_kernels import Features
 from geokit.volume.level_set.leaf_neighbors_kernels import bit_of, value_at
@@ -291,9 +292,7 @@ def list_kernel(
 ):
     """Positions [voxels] of the marked voxels of a plane."""
     i = first + wp.tid()
-    k = int(0)
-    if i > 0:
-        k = ends[i - 1]
+    k = begin_of(ends, i)
     word = beyond[i]
     if word != wp.uint64(0):
         for n in range(64):
@@ -460,9 +459,7 @@ def hold_kernel(
     In fields without distances only those whose distance the mesh contradicts.
     """
     i = first + wp.tid()
-    k = int(0)
-    if i > 0:
-        k = ends[i - 1]
+    k = begin_of(ends, i)
     word = beyond[i]
     held = out_held[i]
     if word != wp.uint64(0):

@@ -41,24 +41,14 @@ def is_leaf(node: wp.uint64) -> bool:
 
 
 # One overload for each family of value types, chosen by the type of the last argument.
-@wp.func_native(cpp("volume/nanovdb/read_voxel.inl", defines={"COMPONENTS": "1"}))
-def read_voxel(
-    volume: wp.uint64, grid_type: int, node: wp.uint64, i: int, j: int, k: int, family: wp.float64
-) -> wp.float64:
-    """The value of a voxel, given the node from node_of."""
-    ...
+for _components, _family in ((1, wp.float64), (3, wp.vec3d), (4, wp.vec4d)):
 
-
-@wp.func_native(cpp("volume/nanovdb/read_voxel.inl", defines={"COMPONENTS": "3"}))
-def read_voxel(  # noqa: F811
-    volume: wp.uint64, grid_type: int, node: wp.uint64, i: int, j: int, k: int, family: wp.vec3d
-) -> wp.vec3d: ...
-
-
-@wp.func_native(cpp("volume/nanovdb/read_voxel.inl", defines={"COMPONENTS": "4"}))
-def read_voxel(  # noqa: F811
-    volume: wp.uint64, grid_type: int, node: wp.uint64, i: int, j: int, k: int, family: wp.vec4d
-) -> wp.vec4d: ...
+    @wp.func_native(cpp("volume/nanovdb/read_voxel.inl", defines={"COMPONENTS": str(_components)}))
+    def read_voxel(
+        volume: wp.uint64, grid_type: int, node: wp.uint64, i: int, j: int, k: int, family: _family
+    ) -> _family:
+        """The value of a voxel, given the node from node_of."""
+        ...
 
 
 @wp.func_native(cpp("volume/nanovdb/float_leaf_cell.inl"))

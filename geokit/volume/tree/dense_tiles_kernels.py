@@ -30,32 +30,19 @@ def _native(file: str, number: str, row: str) -> str:
 _STATE, _FILL = "volume/tree/dense_tile_state.inl", "volume/tree/fill_dense_tile.inl"
 
 
-@wp.func_native(_native(_STATE, "float", "v8"))
-def tile_state(
-    dense: wp.array3d(dtype=wp.float32), x: int, y: int, z: int, background: wp.float32, tolerance: wp.float64,
-    level_set: int,
-) -> int: ...  # fmt: skip
+for _number, _row, _dtype in (("float", "v8", wp.float32), ("double", "d8", wp.float64)):
 
+    @wp.func_native(_native(_STATE, _number, _row))
+    def tile_state(
+        dense: wp.array3d(dtype=_dtype), x: int, y: int, z: int, background: wp.float32, tolerance: wp.float64,
+        level_set: int,
+    ) -> int: ...  # fmt: skip
 
-@wp.func_native(_native(_STATE, "double", "d8"))
-def tile_state(  # noqa: F811
-    dense: wp.array3d(dtype=wp.float64), x: int, y: int, z: int, background: wp.float32, tolerance: wp.float64,
-    level_set: int,
-) -> int: ...  # fmt: skip
-
-
-@wp.func_native(_native(_FILL, "float", "v8"))
-def fill_tile(
-    dense: wp.array3d(dtype=wp.float32), x: int, y: int, z: int, background: wp.float32, tolerance: wp.float64,
-    level_set: int, row: int, out_values: wp.array2d(dtype=wp.float32), out_masks: wp.array2d(dtype=wp.uint8),
-): ...  # fmt: skip
-
-
-@wp.func_native(_native(_FILL, "double", "d8"))
-def fill_tile(  # noqa: F811
-    dense: wp.array3d(dtype=wp.float64), x: int, y: int, z: int, background: wp.float32, tolerance: wp.float64,
-    level_set: int, row: int, out_values: wp.array2d(dtype=wp.float32), out_masks: wp.array2d(dtype=wp.uint8),
-): ...  # fmt: skip
+    @wp.func_native(_native(_FILL, _number, _row))
+    def fill_tile(
+        dense: wp.array3d(dtype=_dtype), x: int, y: int, z: int, background: wp.float32, tolerance: wp.float64,
+        level_set: int, row: int, out_values: wp.array2d(dtype=wp.float32), out_masks: wp.array2d(dtype=wp.uint8),
+    ): ...  # fmt: skip
 
 
 @wp.kernel
