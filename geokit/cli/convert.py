@@ -38,6 +38,8 @@ __all__ = ["convert"]
 
 # Default number of voxels along the longest side: enough detail to look at, built in about a second.
 DEFAULT_RESOLUTION = 128
+# Arguments that say what is converted, where and with what answer; the others say how, and may not apply.
+AROUND = ("files", "out_dir", "to", "jobs", "device", "finite_only", "force", "json")
 
 
 def convert(
@@ -138,37 +140,9 @@ def convert(
         force: Replace an existing target.
         json: Print a summary as JSON.
     """
-    options = {
-        "kind": kind,
-        "voxel-size": voxel_size,
-        "half-width": half_width,
-        "sign": sign,
-        "thickness": thickness,
-        "interior": interior,
-        "within": within,
-        "order": order,
-        "isovalue": isovalue,
-        "label": label,
-        "adaptivity": adaptivity,
-        "method": method,
-        "grid": grid,
-        "codec": codec,
-        "tolerance": tolerance,
-        "radius": radius,
-        "count": count,
-        "background": background,
-        "background-tolerance": background_tolerance,
-        "grid-type": grid_type,
-        "unit": unit,
-        "up": up,
-        "from-unit": from_unit,
-        "from-up": from_up,
-        "columns": columns,
-        "stream": stream or None,
-        "normals": normals,
-        "density": density,
-        "scheduler": scheduler,
-    }
+    given = locals()
+    options = {name.replace("_", "-"): given[name] for name in given if name not in AROUND}
+    options["stream"] = stream or None
     announce_compiling()
 
     def work(source: Path, target: Path) -> dict[str, Any]:

@@ -191,7 +191,8 @@ def _cure(module: Any, block_dim: int, error: Exception) -> None:
     import warp as wp
 
     folder = warp_private.module_folder(module, block_dim)
-    if _is_unusable(Path(str(wp.config.kernel_cache_dir)), error):
+    is_refused = isinstance(error, InputError) or getattr(error, "errno", None) in UNUSABLE
+    if is_refused or _is_full(Path(str(wp.config.kernel_cache_dir))):
         _replace_folder(wp, error)
     elif folder is None or warp_private.has_failed_to_build(module):
         raise error
@@ -202,10 +203,6 @@ def _cure(module: Any, block_dim: int, error: Exception) -> None:
         else:
             _log.warning("kernel cache: %s was damaged (%s) and is compiled again", folder, _first_line(error))
     warp_private.mark_modified(module)
-
-
-def _is_unusable(folder: Path, error: Exception) -> bool:
-    return isinstance(error, InputError) or getattr(error, "errno", None) in UNUSABLE or _is_full(folder)
 
 
 def _is_full(folder: Path) -> bool:

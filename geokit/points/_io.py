@@ -391,7 +391,7 @@ def save(
     cloud = PointCloud(points, data)
     if system is not None and system.records and kind not in (".las", ".laz"):
         warn(f"{kind} holds no coordinate system; {system.name or 'that of the cloud'} is left out")
-    single = FORMATS[kind].single and _is_single(points)
+    single = FORMATS[kind].single and getattr(points, "dtype", None) == np.float32
     coordinates = cloud.points.astype(np.float32) if single else cloud.points
     with atomic_path(path) as part:
         if kind == ".vdb":
@@ -406,10 +406,6 @@ def save(
             module.write_points(part, coordinates, cloud.data, encoding or encodings[0])
         else:
             module.write_points(part, coordinates, cloud.data)
-
-
-def _is_single(points: Any) -> bool:
-    return getattr(points, "dtype", None) == np.float32
 
 
 def _points(values: ArrayLike) -> NDArray[np.float64]:

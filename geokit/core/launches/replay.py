@@ -232,10 +232,6 @@ class Recorder:
         self._flags.append(array.values)
         self.empty(array)
 
-    def is_flagged(self) -> bool:
-        """Whether a kernel has raised a flag."""
-        return any(flags.any() for flags in self._flags)
-
     def empty(self, array: Any) -> None:
         """Note an array whose contents before the call do not matter."""
         self._empty[id(array)] = array
@@ -308,7 +304,9 @@ class Recorder:
     def finished(self, answer: Any) -> Recording | None:
         """The recording; None if the call cannot be replayed."""
         arrays = answer if isinstance(answer, tuple) else (answer,)
-        if not self.usable or not self._calls or self.is_flagged() or any(rows is None for rows in self._rows):
+        if not self.usable or not self._calls or any(rows is None for rows in self._rows):
+            return None
+        if any(flags.any() for flags in self._flags):
             return None
         found = [self._results.get(id(array)) for array in arrays]
         if any(entry is None for entry in found):

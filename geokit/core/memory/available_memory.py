@@ -36,7 +36,7 @@ def available_host() -> int:
     groups around its own), and what its limit of address space (``ulimit -v``) leaves.
     """
     try:
-        return min(_free(), _control_group_rest(), _address_space_rest())
+        return min(_free(), _address_space_rest(), *(_rest_of(*files) for files in _control_groups()))
     except MemoryError:  # not even for a line of text
         return 0
 
@@ -88,10 +88,6 @@ def _address_space_rest() -> int:
             return max(0, limit - int(file.read().split()[0]) * resource.getpagesize())
     except (OSError, ValueError):
         return UNLIMITED
-
-
-def _control_group_rest() -> int:
-    return min((_rest_of(*files) for files in _control_groups()), default=UNLIMITED)
 
 
 @lru_cache(maxsize=1)

@@ -77,7 +77,7 @@ def _open_stl(path: Path) -> TriangleFile:
         head = file.read(HEADER_BYTES)
     found = binary_count(head, size)
     if found is None:
-        if _is_text(head):
+        if without_mark(head).lstrip()[:5].lower() == b"solid":
             raise FileFormatError(f"{path}: is text, which has no blocks; {REMEDY}")
         declared = int.from_bytes(head[80:84], "little")
         raise FileFormatError(f"{path}: {size} bytes are not those of {declared} triangles; get a whole copy")
@@ -90,10 +90,6 @@ def _open_stl(path: Path) -> TriangleFile:
         return _whole(records, rows, path)["corners"].astype(np.float32)
 
     return TriangleFile(path, count, np.dtype(np.float32), read)
-
-
-def _is_text(head: bytes) -> bool:
-    return without_mark(head).lstrip()[:5].lower() == b"solid"
 
 
 def _open_ply(path: Path) -> TriangleFile:

@@ -166,7 +166,8 @@ def _read_cells(data: bytes, start: int, path: Path) -> Cells:
         return Cells(np.empty((0, 1)), none, none, [], [], None)
     count = lines[0].strip()
     # Some programs write the number of rows above them.
-    if count.isdecimal() and 1 < len(lines) == int(count) + 1 and _cell_count(lines[1]) > 1:
+    is_count = count.isdecimal() and 1 < len(lines) == int(count) + 1
+    if is_count and len(split_line(lines[1], separator_of(lines[1]))) > 1:
         del lines[0], places[0]
     separator = separator_of(lines[0])
     if separator == "\t":
@@ -203,7 +204,3 @@ def _other_width(line: str, words: list[str], place: int, width: int, path: Path
             f"{path}: line {place} ({line.strip()[:60]!r}) is not a row of numbers; correct or remove it"
         )
     return FileFormatError(f"{path}: line {place} has {len(words)} values and the rows above have {width}; complete it")
-
-
-def _cell_count(line: str) -> int:
-    return len(split_line(line, separator_of(line)))

@@ -200,7 +200,7 @@ class SignQueries(PointQueries):
             self._sign(method, batch.rows, found, math.inf)
             refuse_raised(bad, batch)
             if isinstance(found.distance, HostArray):  # a launch takes longer than this does for thousands of points
-                return batch.to_caller(user_arrays.mapped(found.distance, _is_negative))
+                return batch.to_caller(user_arrays.mapped(found.distance, lambda distance: distance < 0.0))
             inside = user_arrays.empty(count, wp.bool, batch.rows)
             launcher.launch(is_negative_kernel, count, [found.distance], [inside], device)
             return batch.to_caller(inside)
@@ -542,7 +542,3 @@ class SignQueries(PointQueries):
 
         whole = self._orientation.closed and self._orientation.flipped.mean() in (0.0, 1.0)
         return [self._tree, self._winding_tree_as_given, wp.float64(1.0 if whole else math.inf)]
-
-
-def _is_negative(distance: NDArray[np.float64]) -> NDArray[np.bool_]:
-    return distance < 0.0

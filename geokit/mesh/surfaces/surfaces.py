@@ -328,7 +328,8 @@ class Surfaces:
         found = RayHits(*(user_arrays.empty(len(rays), kind, rays.rows) for kind in kinds))
         limits, bad = checked_limits(rays, heading, t_min, max_distance), host_flags(2, self._device)
         group = group_size(len(rays)) if self._device.is_cpu else 1
-        inputs = [group, where, rays.rows, heading.rows, self._ray_trees, *limits]
+        trees = self._cache.find("ray trees", lambda: self._structs(True))
+        inputs = [group, where, rays.rows, heading.rows, trees, *limits]
         launcher.launch(forest_raycast_kernel, -(-len(rays) // group), inputs, [*found, bad], self._device, grain=1)
         refuse_rays(bad, rays, heading)
         return RayHits(*(shaped(rays.to_caller(array)) for array in found))
@@ -342,12 +343,7 @@ class Surfaces:
     def _trees(self) -> "wp.array":
         return self._cache.find("trees", lambda: self._structs(False))
 
-    @property
-    def _ray_trees(self) -> "wp.array":
-        return self._cache.find("ray trees", lambda: self._structs(True))
-
     def _structs(self, rays: bool) -> "wp.array":
-
         from geokit.mesh.bvh.tree_kernels import SurfaceTree
 
         if self._forest is None:

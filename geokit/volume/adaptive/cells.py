@@ -305,7 +305,8 @@ def _crease_points(
 
     Each point comes with ``_Creases.between`` of its edge; vertices with 0.
     """
-    creases = _creases_of(lattice.surface.mesh)
+    mesh = lattice.surface.mesh
+    creases: _Creases = mesh._cache.find("creases", lambda: _find_creases(mesh))
     corners = np.unique(creases.ends.reshape(-1, 3), axis=0)
     yield corners, np.zeros_like(corners)
     sharp = SPREAD_SHARE * lattice.size * creases.sharpness > limit
@@ -324,10 +325,6 @@ def _crease_points(
         a, b, way = (np.repeat(part[start:stop], count, axis=0) for part in (ends[:, 0], ends[:, 1], between))
         yield a * (1.0 - t) + b * t, way
         start = stop
-
-
-def _creases_of(mesh: TriangleMesh) -> _Creases:
-    return mesh._cache.find("creases", lambda: _find_creases(mesh))
 
 
 def _find_creases(mesh: TriangleMesh) -> _Creases:

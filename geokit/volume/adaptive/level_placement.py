@@ -42,9 +42,9 @@ def placed(parents: NDArray[np.int64], halves: NDArray[np.int64], leaf_bytes: in
     corners = np.stack(np.meshgrid(*[[0, halves[-1] - halves[0]]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     low = 2 * parents.min(axis=0) + halves[0]
     local = (2 * parents + halves[0] - low)[:, None] + corners
-    phase = _descend(lambda phase: _leaf_count(local, phase), LEAF)
+    phase = _descend(lambda phase: _count(((local + phase) >> 3).reshape(-1, 3)), LEAF)
     tiles = np.unique((local + phase).reshape(-1, 3) >> 3, axis=0)
-    phase = phase + LEAF * _descend(lambda nodes: _node_count(tiles + nodes), LOWER // LEAF)
+    phase = phase + LEAF * _descend(lambda nodes: _count((tiles + nodes) >> 4), LOWER // LEAF)
     tiles = np.unique((local + phase).reshape(-1, 3) >> 3, axis=0)
     return Placement(low - phase, grid_bytes(tiles, leaf_bytes))
 
@@ -69,14 +69,6 @@ def _descend(count, options: int) -> NDArray[np.int64]:
             if found < least:
                 best, least = tried, found
     return best
-
-
-def _leaf_count(voxels: NDArray[np.int64], phase: NDArray[np.int64]) -> int:
-    return _count(((voxels + phase) >> 3).reshape(-1, 3))
-
-
-def _node_count(tiles: NDArray[np.int64]) -> int:
-    return _count(tiles >> 4)
 
 
 def _count(places: NDArray[np.int64]) -> int:

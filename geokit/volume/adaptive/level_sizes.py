@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geokit.core.memory import available_memory
 from geokit.errors import DeviceMemoryError
@@ -181,7 +180,8 @@ class _Ladder:
 
         def band_of(number: int) -> None:
             level = self.tree.lattice_of(number)
-            least = self._least_band(level)
+            # A surface meets a leaf for each 8 x 8 voxels of its area, so finer levels cannot take fewer bytes.
+            least = _area(level) / (LEAF * level.size) ** 2 * storage.leaf_bytes(level.size)
             bands.append(_band_bytes(level, storage) if least <= most_bytes else math.inf)
 
         def goes_on(number: int) -> bool:
@@ -201,11 +201,6 @@ class _Ladder:
             total = bands[start] + sum(self.finer[start:])
             if total < self.byte_count:
                 self.start, self.byte_count = start, total
-
-    def _least_band(self, level: CellLattice) -> float:
-        """Lower bound of the bytes of a band."""
-        # A surface meets a leaf for each 8 x 8 voxels of its area, so finer levels cannot take fewer bytes.
-        return _area(level) / (LEAF * level.size) ** 2 * self.tree.storage.leaf_bytes(level.size)
 
     def better_factor(self) -> float:
         """The factor on all voxel sizes that promises the least memory; 1 if none promises enough."""
@@ -245,8 +240,5 @@ def _area(lattice: CellLattice) -> float:
 
 def _band_bytes(lattice: CellLattice, storage: Storage) -> int:
     tiles = near_tiles(band_lattice(lattice, storage.order))
-    return grid_bytes(_int64(tiles.coordinates.numpy()[: len(tiles.keys)]), storage.leaf_bytes(lattice.size))
-
-
-def _int64(numbers: NDArray[np.int32]) -> NDArray[np.int64]:
-    return numbers.astype(np.int64)
+    coordinates = tiles.coordinates.numpy()[: len(tiles.keys)].astype(np.int64)
+    return grid_bytes(coordinates, storage.leaf_bytes(lattice.size))

@@ -82,8 +82,7 @@ def redistance(
         leaves.activate_beside_zeros((NARROW - 1.0) * voxel_size)
     band = Band(leaves, background, voxel_size, isovalue * voxel_size)
     if keeps_band:
-        band.hold_active()
-        # Voxels beyond the band are at least as far as it is wide.
+        # Every active voxel is held with its value. Voxels beyond the band are at least as far as it is wide.
         start = least = old_width
     else:
         band.hold_seeds()
@@ -118,9 +117,6 @@ class Band:
         # Relative gradient of the slope; None if values are not divided by a slope.
         self.rise: wp.array | None = None
         self.nearest: wp.array = wp.full(512 * self.rows, -1, dtype=wp.int32, device=self.device)
-
-    def hold_active(self) -> None:
-        """Hold every active voxel with its value."""
 
     def hold_seeds(self) -> None:
         """Hold the corners of crossed cells, with their values divided by the slope."""
