@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from geokit.accuracy.stability.mesh_distance import distance_sweeps
-from geokit.accuracy.stability.mesh_rays import ray_sweeps
-from geokit.accuracy.stability.mesh_repair import repair_sweeps
-from geokit.accuracy.stability.mesh_sign import sign_sweeps
+from geokit.accuracy.stability import mesh_distance, mesh_rays, mesh_repair, mesh_sign
 from geokit.accuracy.trials.model import Sweep
 
 __all__ = ["mesh_sweeps"]
@@ -30,4 +27,5 @@ def mesh_sweeps(device: Any = "cpu") -> list[Sweep]:
         >>> sweep.name, bool(sweep.ask(1e8).errors.max() <= sweep.envelope.error)
         ('closest_point_origin', True)
     """
-    return [*distance_sweeps(device), *sign_sweeps(device), *ray_sweeps(device), *repair_sweeps(device)]
+    parts = (mesh_distance, mesh_sign, mesh_rays, mesh_repair)
+    return [sweep for part in parts for sweep in part.SWEEPS.on(device)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,10 +22,12 @@ from geokit.accuracy.stability.mesh_questions import (
     unit_vectors,
 )
 from geokit.accuracy.stability.shapes import moved, rotated, scaled, sliver_fan, thin_plate, torus
-from geokit.accuracy.trials.model import Judgement, Sweep, make_sweep
+from geokit.accuracy.trials.model import Judgement, Sweeps
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 
-__all__ = ["distance_sweeps"]
+__all__ = ["SWEEPS"]
+
+SWEEPS = Sweeps()
 
 QUERIES = 200
 # Queries of sweeps from afar: brute force is slowest there, because no candidate is excluded early.
@@ -70,6 +72,17 @@ def _known(seed: int) -> _Known:
     return _Known(mesh, queries[clear], closest.points[clear], closest.distance[clear], inside[clear])
 
 
+@SWEEPS.add(
+    "closest_point_origin",
+    "mesh.Surface.closest_point",
+    "distance from the origin [sizes of the mesh]",
+    "sizes of the mesh",
+    powers(0, 13),
+    last=1e8,
+    error=1e-6,
+    statement="Closest points have an error of at most 1e-6 of the mesh's size up to 1e8 sizes from the "
+    "origin; farther away float64 coordinates themselves are coarser.",
+)
 def _closest_at(offset: float, device: Any, seed: int = 0) -> Judgement:
     """Comparison with the ideal mesh near the origin: float64 rounding of moved coordinates counts as error."""
     known, away = _known(seed), offset * OBLIQUE
@@ -78,24 +91,31 @@ def _closest_at(offset: float, device: Any, seed: int = 0) -> Judgement:
     return judged(errors, found.triangle_id < 0, known.queries)
 
 
-def _signed_at(offset: float, device: Any, seed: int = 0) -> Judgement:
-    known, away = _known(seed), offset * OBLIQUE
-    found = surface_of(moved(known.mesh, away), device).signed_distance(known.queries + away).distance
-    return judged(np.abs(found) - known.distance, (found < 0.0) != known.inside, known.queries)
-
-
+@size_sweeps(
+    SWEEPS,
+    "closest_point",
+    "mesh.Surface.closest_point",
+    (*powers(0, 70, 10), 1e74, *powers(80, 90, 10)),
+    (*powers(0, -70, -10), 1e-74, *powers(-80, -90, -10)),
+    "Distances have",
+)
 def _closest_sized(scale: float, device: Any, seed: int = 0) -> Judgement:
     known = _known(seed)
     found = surface_of(scaled(known.mesh, scale), device).closest_point(known.queries * scale)
     return judged(found.distance / scale - known.distance, found.triangle_id < 0, known.queries)
 
 
-def _signed_sized(scale: float, device: Any, seed: int = 0) -> Judgement:
-    known = _known(seed)
-    found = surface_of(scaled(known.mesh, scale), device).signed_distance(known.queries * scale).distance
-    return judged(np.abs(found) / scale - known.distance, (found < 0.0) != known.inside, known.queries)
-
-
+@SWEEPS.add(
+    "closest_point_slivers",
+    "mesh.Surface.closest_point",
+    "longest edge of the triangles over their height",
+    "sizes of the mesh",
+    powers(1, 13),
+    last=1e13,
+    error=1e-12,
+    statement="Distances have an error of at most 1e-12 of the mesh's size on slivers of any aspect ratio: no "
+    "failure found.",
+)
 def _closest_on_slivers(aspect: float, device: Any, seed: int = 0) -> Judgement:
     """Distances from a fan of slivers, known from the planar triangle that all slivers form together."""
     rng = np.random.default_rng(seed)
@@ -122,6 +142,48 @@ def _flat_distance(points: NDArray[np.float64], corners: NDArray[np.float64]) ->
     return np.where(within, np.abs(points[:, 2]), nearest)
 
 
+@SWEEPS.add(
+    "signed_distance_origin",
+    "mesh.Surface.signed_distance",
+    "distance from the origin [sizes of the mesh]",
+    "sizes of the mesh",
+    powers(0, 14),
+    last=1e9,
+    error=1e-6,
+    statement="Distances have an error of at most 1e-6 of the mesh's size, and signs are right for points "
+    "1e-5 sizes from the surface, up to 1e9 sizes from the origin.",
+)
+def _signed_at(offset: float, device: Any, seed: int = 0) -> Judgement:
+    known, away = _known(seed), offset * OBLIQUE
+    found = surface_of(moved(known.mesh, away), device).signed_distance(known.queries + away).distance
+    return judged(np.abs(found) - known.distance, (found < 0.0) != known.inside, known.queries)
+
+
+@size_sweeps(
+    SWEEPS,
+    "signed_distance",
+    "mesh.Surface.signed_distance",
+    (*powers(0, 70, 10), *powers(80, 90, 10)),
+    (*powers(0, -70, -10), *powers(-80, -90, -10)),
+    "Signed distances have",
+)
+def _signed_sized(scale: float, device: Any, seed: int = 0) -> Judgement:
+    known = _known(seed)
+    found = surface_of(scaled(known.mesh, scale), device).signed_distance(known.queries * scale).distance
+    return judged(np.abs(found) / scale - known.distance, (found < 0.0) != known.inside, known.queries)
+
+
+@SWEEPS.add(
+    "signed_distance_afar",
+    "mesh.Surface.signed_distance",
+    "distance of the queries [sizes of the mesh]",
+    "relative",
+    (*powers(0, 8, 4), 1e16, *powers(40, 120, 40), 1e150, 1e160),
+    last=1e150,
+    error=4e-15,
+    statement="Distances have a relative error of at most 4e-15, and points outside have the right sign, up "
+    "to 1e150 from the mesh.",
+)
 def _signed_from_afar(distance: float, device: Any, seed: int = 0) -> Judgement:
     """Distances of far queries; errors are relative to the distance."""
     mesh = _torus(seed)
@@ -133,6 +195,17 @@ def _signed_from_afar(distance: float, device: Any, seed: int = 0) -> Judgement:
     return judged(np.abs(found) / expected - 1.0, found < 0.0, queries)
 
 
+@SWEEPS.add(
+    "signed_distance_thin_walls",
+    "mesh.Surface.signed_distance",
+    "thickness of a plate [its length]",
+    "lengths of the plate",
+    powers(-1, -17, -1),
+    last=lambda device: 1e-11 if on_gpu(device) else 1e-14,
+    error=4e-15,
+    statement="The two sides of a wall are distinguished down to a thickness of 1e-14 of the mesh's size, on "
+    "a GPU of 1e-11.",
+)
 def _signed_within(thickness: float, device: Any, seed: int = 0) -> Judgement:
     """Points inside a plate and as many outside, equally near to its faces, away from its rim."""
     rng = np.random.default_rng(seed)
@@ -143,96 +216,3 @@ def _signed_within(thickness: float, device: Any, seed: int = 0) -> Judgement:
     surface = surface_of(rotated(thin_plate(thickness), seed), device)
     found = surface.signed_distance(turned(queries, seed)).distance
     return judged(np.abs(found) - DEPTH * thickness, (found < 0.0) != inside, queries)
-
-
-def distance_sweeps(device: Any) -> list[Sweep]:
-    """Sweeps of :meth:`Surface.closest_point` and :meth:`Surface.signed_distance` on this device."""
-    return [*_closest_sweeps(device), *_signed_sweeps(device)]
-
-
-def _closest_sweeps(device: Any) -> list[Sweep]:
-    method, unit = "mesh.Surface.closest_point", "sizes of the mesh"
-    return [
-        make_sweep(
-            "closest_point_origin",
-            method,
-            "distance from the origin [sizes of the mesh]",
-            unit,
-            powers(0, 13),
-            partial(_closest_at, device=device),
-            last=1e8,
-            error=1e-6,
-            statement="Closest points have an error of at most 1e-6 of the mesh's size up to 1e8 sizes from the "
-            "origin; farther away float64 coordinates themselves are coarser.",
-        ),
-        *size_sweeps(
-            "closest_point",
-            method,
-            (*powers(0, 70, 10), 1e74, *powers(80, 90, 10)),
-            (*powers(0, -70, -10), 1e-74, *powers(-80, -90, -10)),
-            partial(_closest_sized, device=device),
-            "Distances have",
-        ),
-        make_sweep(
-            "closest_point_slivers",
-            method,
-            "longest edge of the triangles over their height",
-            unit,
-            powers(1, 13),
-            partial(_closest_on_slivers, device=device),
-            last=1e13,
-            error=1e-12,
-            statement="Distances have an error of at most 1e-12 of the mesh's size on slivers of any aspect ratio: no "
-            "failure found.",
-        ),
-    ]
-
-
-def _signed_sweeps(device: Any) -> list[Sweep]:
-    method, unit = "mesh.Surface.signed_distance", "sizes of the mesh"
-    return [
-        make_sweep(
-            "signed_distance_origin",
-            method,
-            "distance from the origin [sizes of the mesh]",
-            unit,
-            powers(0, 14),
-            partial(_signed_at, device=device),
-            last=1e9,
-            error=1e-6,
-            statement="Distances have an error of at most 1e-6 of the mesh's size, and signs are right for points "
-            "1e-5 sizes from the surface, up to 1e9 sizes from the origin.",
-        ),
-        *size_sweeps(
-            "signed_distance",
-            method,
-            (*powers(0, 70, 10), *powers(80, 90, 10)),
-            (*powers(0, -70, -10), *powers(-80, -90, -10)),
-            partial(_signed_sized, device=device),
-            "Signed distances have",
-        ),
-        make_sweep(
-            "signed_distance_afar",
-            method,
-            "distance of the queries [sizes of the mesh]",
-            "relative",
-            (*powers(0, 8, 4), 1e16, *powers(40, 120, 40), 1e150, 1e160),
-            partial(_signed_from_afar, device=device),
-            last=1e150,
-            error=4e-15,
-            statement="Distances have a relative error of at most 4e-15, and points outside have the right sign, up "
-            "to 1e150 from the mesh.",
-        ),
-        make_sweep(
-            "signed_distance_thin_walls",
-            method,
-            "thickness of a plate [its length]",
-            "lengths of the plate",
-            powers(-1, -17, -1),
-            partial(_signed_within, device=device),
-            last=1e-11 if on_gpu(device) else 1e-14,
-            error=4e-15,
-            statement="The two sides of a wall are distinguished down to a thickness of 1e-14 of the mesh's size, on "
-            "a GPU of 1e-11.",
-        ),
-    ]

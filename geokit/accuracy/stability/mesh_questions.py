@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.accuracy.stability.shapes import rotation, scaled
-from geokit.accuracy.trials.model import Judgement, Sweep, make_sweep
+from geokit.accuracy.trials.model import Judgement, Sweeps
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 if TYPE_CHECKING:
@@ -38,28 +38,25 @@ def powers(first: int, last: int, step: int = 1) -> tuple[float, ...]:
 
 
 def size_sweeps(
-    name: str,
-    method: str,
-    large: tuple[float, ...],
-    small: tuple[float, ...],
-    ask: Callable[[float], Judgement],
-    subject: str,
-) -> list[Sweep]:
-    """Sweeps towards large and small meshes; the ``subject``, as in "Hits have", keeps its digits up to 1e70."""
-    return [
-        make_sweep(
-            f"{name}_{end}",
-            method,
-            "size of the mesh [world]",
-            "sizes of the mesh",
-            values,
-            ask,
-            last=last,
-            error=1e-14,
-            statement=f"{subject} an error of at most 1e-14 of the mesh's size for sizes {reach}.",
-        )
-        for end, values, last, reach in (("large", large, 1e70, "up to 1e70"), ("small", small, 1e-70, "down to 1e-70"))
-    ]
+    sweeps: Sweeps, name: str, method: str, large: tuple[float, ...], small: tuple[float, ...], subject: str
+) -> Callable[[Callable[..., Judgement]], None]:
+    """Decorator that adds sweeps towards large and small meshes; what ``subject`` names keeps its digits up to 1e70."""
+
+    def note(ask: Callable[..., Judgement]) -> None:
+        ends = (("large", large, 1e70, "up to 1e70"), ("small", small, 1e-70, "down to 1e-70"))
+        for end, values, last, reach in ends:
+            sweeps.add(
+                f"{name}_{end}",
+                method,
+                "size of the mesh [world]",
+                "sizes of the mesh",
+                values,
+                last=last,
+                error=1e-14,
+                statement=f"{subject} an error of at most 1e-14 of the mesh's size for sizes {reach}.",
+            )(ask)
+
+    return note
 
 
 def judged(errors: Any, wrong: Any, positions: NDArray[np.float64] | None = None) -> Judgement:

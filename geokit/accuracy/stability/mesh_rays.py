@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,10 +20,12 @@ from geokit.accuracy.stability.mesh_questions import (
     unit_vectors,
 )
 from geokit.accuracy.stability.shapes import box, icosphere, moved, rotated, scaled, sliver_fan
-from geokit.accuracy.trials.model import Judgement, Sweep, make_sweep
+from geokit.accuracy.trials.model import Judgement, Sweeps
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 
-__all__ = ["ray_sweeps"]
+__all__ = ["SWEEPS"]
+
+SWEEPS = Sweeps()
 
 RAYS = 300
 # More rays, because leaks are rare.
@@ -35,6 +37,8 @@ START = np.array([0.3, 0.2, 1.0])
 STRAY = 0.8
 # Nearer hits are on the starting face, since the other side of the box is farther [edges of the box].
 OWN_FACE = 0.01
+# From far beside an edge to exactly at it: the last offsets are lost when they are added.
+OFFSETS = (*powers(-2, -18, -2), 1e-30)
 
 
 class _Known(NamedTuple):
@@ -57,6 +61,16 @@ def _known(seed: int) -> _Known:
     return _Known(mesh, starts, headings, reference.first_hit(mesh.vertices, mesh.faces, starts, headings).t)
 
 
+@SWEEPS.add(
+    "raycast_origin",
+    "mesh.Surface.raycast",
+    "distance from the origin [sizes of the mesh]",
+    "sizes of the mesh",
+    powers(0, 13),
+    last=1e9,
+    error=1e-6,
+    statement="Hits have an error of at most 1e-6 of the mesh's size up to 1e9 sizes from the origin.",
+)
 def _hits_at(offset: float, device: Any, seed: int = 0) -> Judgement:
     """Comparison with the ideal mesh near the origin."""
     known, away = _known(seed), offset * OBLIQUE
@@ -64,12 +78,31 @@ def _hits_at(offset: float, device: Any, seed: int = 0) -> Judgement:
     return judged(found.t - known.t, found.triangle_id < 0, known.starts)
 
 
+@size_sweeps(
+    SWEEPS,
+    "raycast",
+    "mesh.Surface.raycast",
+    (*powers(0, 60, 15), *powers(70, 120, 10)),
+    (*powers(0, -60, -15), *powers(-70, -120, -10)),
+    "Hits have",
+)
 def _hits_sized(scale: float, device: Any, seed: int = 0) -> Judgement:
     known = _known(seed)
     found = surface_of(scaled(known.mesh, scale), device).raycast(known.starts * scale, known.headings)
     return judged(found.t / scale - known.t, found.triangle_id < 0, known.starts)
 
 
+@SWEEPS.add(
+    "raycast_afar",
+    "mesh.Surface.raycast",
+    "distance of the starts [sizes of the mesh]",
+    "sizes of the mesh",
+    powers(0, 13),
+    last=1e8,
+    error=1e-6,
+    statement="Rays that start up to 1e8 sizes away hit their targets, within 1e-6 of the mesh's size; from "
+    "1e12 sizes they may miss the mesh.",
+)
 def _hits_from_afar(distance: float, device: Any, seed: int = 0) -> Judgement:
     """Rays from all sides at the centroid of a face that faces them."""
     rng = np.random.default_rng(seed)
@@ -80,6 +113,16 @@ def _hits_from_afar(distance: float, device: Any, seed: int = 0) -> Judgement:
     return judged(found.t - distance, found.triangle_id < 0, targets)
 
 
+@SWEEPS.add(
+    "raycast_slivers",
+    "mesh.Surface.raycast",
+    "longest edge of the triangles over their height",
+    "lengths of the ray",
+    powers(1, 17),
+    last=1e15,
+    error=1e-14,
+    statement="Slivers are hit at the t of their planes, until rounding of their corners opens gaps between them.",
+)
 def _hits_on_slivers(aspect: float, device: Any, seed: int = 0) -> Judgement:
     """Rays at random points of a gapless fan of slivers, well away from its border."""
     rng = np.random.default_rng(seed)
@@ -114,6 +157,17 @@ def _aims(seed: int) -> _Aims:
     return _Aims(mesh, starts, places, across)
 
 
+@SWEEPS.add(
+    "raycast_edges",
+    "mesh.Surface.raycast",
+    "distance from the edge or vertex aimed at [radii of the sphere]",
+    "lengths of the ray",
+    OFFSETS,
+    last=OFFSETS[-1],
+    error=1e-14,
+    statement="No ray from inside a closed mesh leaks, however close to an edge or a vertex it is aimed: no "
+    "failure found.",
+)
 def _hits_beside_edges(offset: float, device: Any, seed: int = 0) -> Judgement:
     """The sphere is convex: a target seen from inside is hit at t = 1."""
     mesh, starts, places, across = _aims(seed)
@@ -121,6 +175,16 @@ def _hits_beside_edges(offset: float, device: Any, seed: int = 0) -> Judgement:
     return judged(found.t - 1.0, found.triangle_id < 0, places)
 
 
+@SWEEPS.add(
+    "crossing_count_edges",
+    "mesh.Surface.crossing_count",
+    "distance from the edge or vertex aimed at [radii of the sphere]",
+    "lengths of the ray",
+    OFFSETS,
+    last=OFFSETS[-1],
+    error=0.0,
+    statement="A ray through an edge or a vertex counts one crossing, however exactly it is aimed: no failure found.",
+)
 def _crossings_beside_edges(offset: float, device: Any, seed: int = 0) -> Judgement:
     """A ray from inside a convex mesh crosses it once."""
     mesh, starts, places, across = _aims(seed)
@@ -128,6 +192,17 @@ def _crossings_beside_edges(offset: float, device: Any, seed: int = 0) -> Judgem
     return judged(np.zeros(EDGE_RAYS), count != 1, places)
 
 
+@SWEEPS.add(
+    "raycast_grazing",
+    "mesh.Surface.raycast",
+    "angle between ray and face [radians]",
+    "edges of the box",
+    (1.5, *powers(-1, -17, -1)),
+    last=1e-9,
+    error=1e-6,
+    statement="t has an error of at most 1e-15 of the mesh's size over the sine of the angle between ray and "
+    "face, 1e-6 at 1e-9 radians; no hit is missed down to 1e-15 radians.",
+)
 def _grazing_hits(angle: float, device: Any, seed: int = 0) -> Judgement:
     """Rays towards the top of a box at this angle to it."""
     rng = np.random.default_rng(seed)
@@ -139,6 +214,16 @@ def _grazing_hits(angle: float, device: Any, seed: int = 0) -> Judgement:
     return judged(found.t - distance, found.triangle_id < 0, turned(targets, seed))
 
 
+@SWEEPS.add(
+    "raycast_t_min",
+    "mesh.Surface.raycast",
+    "t_min [edges of the box]",
+    "edges of the box",
+    powers(-1, -18, -1),
+    last=1e-13,
+    error=0.0,
+    statement="Rays that start at a hit skip the face they start on with a t_min of 1e-13 of the mesh's size.",
+)
 def _hits_past_the_start(t_min: float, device: Any, seed: int = 0) -> Judgement:
     """Rays inward from rounded hits on a box; the right hit is on another side."""
     rng = np.random.default_rng(seed)
@@ -150,112 +235,3 @@ def _hits_past_the_start(t_min: float, device: Any, seed: int = 0) -> Judgement:
     headings /= np.linalg.norm(headings, axis=1, keepdims=True)
     t = surface.raycast(starts, headings, t_min=t_min).t
     return judged(np.zeros(RAYS), ~(np.isfinite(t) & (t > OWN_FACE)), starts)
-
-
-def ray_sweeps(device: Any) -> list[Sweep]:
-    """Sweeps of :meth:`Surface.raycast` and :meth:`Surface.crossing_count` on this device."""
-    return [*_placed_sweeps(device), *_aimed_sweeps(device)]
-
-
-def _placed_sweeps(device: Any) -> list[Sweep]:
-    method, unit = "mesh.Surface.raycast", "sizes of the mesh"
-    return [
-        make_sweep(
-            "raycast_origin",
-            method,
-            "distance from the origin [sizes of the mesh]",
-            unit,
-            powers(0, 13),
-            partial(_hits_at, device=device),
-            last=1e9,
-            error=1e-6,
-            statement="Hits have an error of at most 1e-6 of the mesh's size up to 1e9 sizes from the origin.",
-        ),
-        *size_sweeps(
-            "raycast",
-            method,
-            (*powers(0, 60, 15), *powers(70, 120, 10)),
-            (*powers(0, -60, -15), *powers(-70, -120, -10)),
-            partial(_hits_sized, device=device),
-            "Hits have",
-        ),
-        make_sweep(
-            "raycast_afar",
-            method,
-            "distance of the starts [sizes of the mesh]",
-            unit,
-            powers(0, 13),
-            partial(_hits_from_afar, device=device),
-            last=1e8,
-            error=1e-6,
-            statement="Rays that start up to 1e8 sizes away hit their targets, within 1e-6 of the mesh's size; from "
-            "1e12 sizes they may miss the mesh.",
-        ),
-    ]
-
-
-def _aimed_sweeps(device: Any) -> list[Sweep]:
-    method = "mesh.Surface.raycast"
-    # From far beside an edge to exactly at it: the last offsets are lost when they are added.
-    offsets = (*powers(-2, -18, -2), 1e-30)
-    return [
-        make_sweep(
-            "raycast_slivers",
-            method,
-            "longest edge of the triangles over their height",
-            "lengths of the ray",
-            powers(1, 17),
-            partial(_hits_on_slivers, device=device),
-            last=1e15,
-            error=1e-14,
-            statement="Slivers are hit at the t of their planes, until rounding of their corners opens gaps between "
-            "them.",
-        ),
-        make_sweep(
-            "raycast_edges",
-            method,
-            "distance from the edge or vertex aimed at [radii of the sphere]",
-            "lengths of the ray",
-            offsets,
-            partial(_hits_beside_edges, device=device),
-            last=offsets[-1],
-            error=1e-14,
-            statement="No ray from inside a closed mesh leaks, however close to an edge or a vertex it is aimed: no "
-            "failure found.",
-        ),
-        make_sweep(
-            "crossing_count_edges",
-            "mesh.Surface.crossing_count",
-            "distance from the edge or vertex aimed at [radii of the sphere]",
-            "lengths of the ray",
-            offsets,
-            partial(_crossings_beside_edges, device=device),
-            last=offsets[-1],
-            error=0.0,
-            statement="A ray through an edge or a vertex counts one crossing, however exactly it is aimed: no failure "
-            "found.",
-        ),
-        make_sweep(
-            "raycast_grazing",
-            method,
-            "angle between ray and face [radians]",
-            "edges of the box",
-            (1.5, *powers(-1, -17, -1)),
-            partial(_grazing_hits, device=device),
-            last=1e-9,
-            error=1e-6,
-            statement="t has an error of at most 1e-15 of the mesh's size over the sine of the angle between ray and "
-            "face, 1e-6 at 1e-9 radians; no hit is missed down to 1e-15 radians.",
-        ),
-        make_sweep(
-            "raycast_t_min",
-            method,
-            "t_min [edges of the box]",
-            "edges of the box",
-            powers(-1, -18, -1),
-            partial(_hits_past_the_start, device=device),
-            last=1e-13,
-            error=0.0,
-            statement="Rays that start at a hit skip the face they start on with a t_min of 1e-13 of the mesh's size.",
-        ),
-    ]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,10 +18,12 @@ from geokit.accuracy.stability.shapes import (
     sliver_fan,
     without_cap,
 )
-from geokit.accuracy.trials.model import Judgement, Sweep, make_sweep
+from geokit.accuracy.trials.model import Judgement, Sweeps
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 
-__all__ = ["repair_sweeps"]
+__all__ = ["SWEEPS"]
+
+SWEEPS = Sweeps()
 
 FAN = 24
 # Two boxes at the ends of a plate: the farthest point of the plate lies halfway between them, away from any vertex.
@@ -39,6 +40,16 @@ def _plate_and_ends() -> tuple[TriangleMesh, TriangleMesh, float]:
     return plate, join(*ends), half
 
 
+@SWEEPS.add(
+    "hausdorff_tolerance",
+    "mesh.hausdorff",
+    "tolerance [diagonals]",
+    "diagonals",
+    powers(-1, -15, -2),
+    last=1e-11,
+    error=lambda tolerance: tolerance + 1e-12,
+    statement="The bounds contain the Hausdorff distance and are at most the tolerance apart, down to 1e-11 diagonals.",
+)
 def _hausdorff_bounds(tolerance: float, device: Any, offset: float = 0.0, seed: int = 0) -> Judgement:
     """Errors: the width of the bounds, and the distance of the true value from them, as shares of the diagonal."""
     from geokit.mesh._hausdorff import hausdorff
@@ -53,11 +64,47 @@ def _hausdorff_bounds(tolerance: float, device: Any, offset: float = 0.0, seed: 
     return judged(np.array([found.upper - found.max, outside]) / size, np.zeros(2, bool))
 
 
+@SWEEPS.add(
+    "hausdorff_origin",
+    "mesh.hausdorff",
+    "distance from the origin [diagonals]",
+    "diagonals",
+    powers(0, 12, 2),
+    last=1e8,
+    error=4e-6,
+    statement="Bounds requested to 1e-7 diagonals are at most 4e-6 diagonals apart up to 1e8 diagonals from the "
+    "origin: they are never closer than 32 roundings of the coordinates.",
+)
 def _hausdorff_at(offset: float, device: Any, seed: int = 0) -> Judgement:
     return _hausdorff_bounds(1e-7, device, offset, seed)
 
 
-def _oriented(mesh: TriangleMesh, share: float, seed: int) -> Judgement:
+@SWEEPS.add(
+    "orient_closed",
+    "mesh.orient",
+    "share of the faces that are flipped",
+    "none",
+    (0.1, 0.3, 0.5, 0.7, 0.9, 1.0),
+    last=1.0,
+    error=0.0,
+    statement="Closed components are oriented outward, however many faces were flipped: no failure found.",
+    logarithmic=False,
+    case={"mesh": icosphere(3)},
+)
+@SWEEPS.add(
+    "orient_open",
+    "mesh.orient",
+    "share of the faces that are flipped",
+    "none",
+    (0.1, 0.2, 0.3, 0.4, 0.45, 0.5, 0.55, 0.6),
+    last=0.45,
+    error=0.0,
+    statement="Open components are oriented like the majority of their faces: right while fewer than half were "
+    "flipped.",
+    logarithmic=False,
+    case={"mesh": without_cap(icosphere(3), 0.3)},
+)
+def _oriented(share: float, mesh: TriangleMesh, device: Any, seed: int = 0) -> Judgement:
     """Faces of part of a sphere, some flipped; faces that orient leaves facing inward are wrong."""
     from geokit.mesh._repair import orient
 
@@ -68,15 +115,18 @@ def _oriented(mesh: TriangleMesh, share: float, seed: int) -> Judgement:
     return judged(np.zeros(len(middle)), (normal * middle).sum(axis=1) < 0.0, middle)
 
 
-def _oriented_bowl(share: float, seed: int = 0) -> Judgement:
-    return _oriented(without_cap(icosphere(3), 0.3), share, seed)
-
-
-def _oriented_sphere(share: float, seed: int = 0) -> Judgement:
-    return _oriented(icosphere(3), share, seed)
-
-
-def _merged(tolerance: float, seed: int = 0) -> Judgement:
+@SWEEPS.add(
+    "merge_vertices_tolerance",
+    "mesh.merge_vertices",
+    "tolerance [shortest edges]",
+    "shortest edges",
+    (2e-3, 1e-2, 0.1, 0.3, 0.6, 0.9, 1.1, 1.5, 2.0),
+    last=0.9,
+    error=2.0 * NOISE,
+    statement="Vertices that belong together are merged, and no others, for tolerances between their distance and "
+    "0.9 of the shortest edge.",
+)
+def _merged(tolerance: float, device: Any, seed: int = 0) -> Judgement:
     """Triangles with separate vertices; wrong are corners not merged with their duplicates or merged with others.
 
     Errors are the displacements of the corners in shortest edges, like the tolerance.
@@ -98,7 +148,18 @@ def _merged(tolerance: float, seed: int = 0) -> Judgement:
     return judged(shift, apart | mixed, soup.vertices)
 
 
-def _aspects_of_slivers(aspect: float, seed: int = 0) -> Judgement:
+@SWEEPS.add(
+    "audit_slivers",
+    "mesh.audit",
+    "longest edge of the triangles over their height",
+    "relative",
+    powers(0, 15),
+    last=1e9,
+    error=1e-6,
+    statement="Aspect ratios and areas of slivers are accurate to 1e-15 times the aspect ratio, as the rounding "
+    "of their coordinates allows: 1e-6 at 1e9. From 1e12 on slivers count as degenerate.",
+)
+def _aspects_of_slivers(aspect: float, device: Any, seed: int = 0) -> Judgement:
     """Aspect ratios and area from audit; ratios of triangles that it classifies as degenerate are wrong."""
     from geokit.mesh._audit import audit
     from geokit.mesh.topology.audit import ASPECT_QUANTILES
@@ -115,99 +176,3 @@ def _fan_aspects(aspect: float) -> NDArray[np.float64]:
     edges = np.stack([np.hypot(1.0, low), np.hypot(1.0, high), high - low])
     # The radius of the inscribed circle is twice the area over the perimeter; twice the area is here the far edge.
     return edges.max(axis=0) * edges.sum(axis=0) / (2.0 * np.sqrt(3.0) * (high - low))
-
-
-def repair_sweeps(device: Any) -> list[Sweep]:
-    """Sweeps of ``hausdorff``, on this device, and of ``orient``, ``merge_vertices`` and ``audit``."""
-    return [*_hausdorff_sweeps(device), *_orient_sweeps(), _merge_sweep(), _audit_sweep()]
-
-
-def _hausdorff_sweeps(device: Any) -> list[Sweep]:
-    unit = "diagonals"
-    return [
-        make_sweep(
-            "hausdorff_tolerance",
-            "mesh.hausdorff",
-            "tolerance [diagonals]",
-            unit,
-            powers(-1, -15, -2),
-            partial(_hausdorff_bounds, device=device),
-            last=1e-11,
-            error=lambda tolerance: tolerance + 1e-12,
-            statement="The bounds contain the Hausdorff distance and are at most the tolerance apart, down to 1e-11 "
-            "diagonals.",
-        ),
-        make_sweep(
-            "hausdorff_origin",
-            "mesh.hausdorff",
-            "distance from the origin [diagonals]",
-            unit,
-            powers(0, 12, 2),
-            partial(_hausdorff_at, device=device),
-            last=1e8,
-            error=4e-6,
-            statement="Bounds requested to 1e-7 diagonals are at most 4e-6 diagonals apart up to 1e8 diagonals from "
-            "the origin: they are never closer than 32 roundings of the coordinates.",
-        ),
-    ]
-
-
-def _orient_sweeps() -> list[Sweep]:
-    method, parameter = "mesh.orient", "share of the faces that are flipped"
-    return [
-        make_sweep(
-            "orient_open",
-            method,
-            parameter,
-            "none",
-            (0.1, 0.2, 0.3, 0.4, 0.45, 0.5, 0.55, 0.6),
-            _oriented_bowl,
-            last=0.45,
-            error=0.0,
-            statement="Open components are oriented like the majority of their faces: right while fewer than half "
-            "were flipped.",
-            logarithmic=False,
-        ),
-        make_sweep(
-            "orient_closed",
-            method,
-            parameter,
-            "none",
-            (0.1, 0.3, 0.5, 0.7, 0.9, 1.0),
-            _oriented_sphere,
-            last=1.0,
-            error=0.0,
-            statement="Closed components are oriented outward, however many faces were flipped: no failure found.",
-            logarithmic=False,
-        ),
-    ]
-
-
-def _merge_sweep() -> Sweep:
-    return make_sweep(
-        "merge_vertices_tolerance",
-        "mesh.merge_vertices",
-        "tolerance [shortest edges]",
-        "shortest edges",
-        (2e-3, 1e-2, 0.1, 0.3, 0.6, 0.9, 1.1, 1.5, 2.0),
-        _merged,
-        last=0.9,
-        error=2.0 * NOISE,
-        statement="Vertices that belong together are merged, and no others, for tolerances between their distance and "
-        "0.9 of the shortest edge.",
-    )
-
-
-def _audit_sweep() -> Sweep:
-    return make_sweep(
-        "audit_slivers",
-        "mesh.audit",
-        "longest edge of the triangles over their height",
-        "relative",
-        powers(0, 15),
-        _aspects_of_slivers,
-        last=1e9,
-        error=1e-6,
-        statement="Aspect ratios and areas of slivers are accurate to 1e-15 times the aspect ratio, as the rounding "
-        "of their coordinates allows: 1e-6 at 1e9. From 1e12 on slivers count as degenerate.",
-    )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,10 +21,12 @@ from geokit.accuracy.stability.shapes import (
     without_cap,
     without_faces,
 )
-from geokit.accuracy.trials.model import Judgement, Sweep, make_sweep
+from geokit.accuracy.trials.model import Judgement, Sweeps
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 
-__all__ = ["sign_sweeps"]
+__all__ = ["SWEEPS"]
+
+SWEEPS = Sweeps()
 
 POINTS = 2000
 # Points closer to the true sphere are not checked: between it and its facets either answer is right [radii].
@@ -36,6 +37,42 @@ BOX = 1.5
 SHRUNK = 0.999
 # Share of wrong answers that counts as nearly none: about two of 2000 points are wrong by chance; four times that.
 FEW = 0.005
+# Shares of the area that are missing.
+HOLES = (0.01, 0.03, 0.1, 0.2, 0.3, 0.5)
+# What statements have in common.
+FARTHER = "is right for points 1e-14 sizes from the surface and farther"
+HALF = "of the points in 1.5 times the box on the wrong side"
+
+
+def by_sign(
+    name: str,
+    parameter: str,
+    values: tuple[float, ...],
+    promises: Mapping[str, tuple[Any, float, str]],
+    logarithmic: bool = True,
+) -> Callable[[Callable[..., Judgement]], None]:
+    """Decorator that adds a sweep for each method of signs, whose name the function takes as ``sign``.
+
+    A promise is the last value, the share of wrong answers and the statement.
+    """
+
+    def note(ask: Callable[..., Judgement]) -> None:
+        for sign, (last, wrong_share, statement) in promises.items():
+            SWEEPS.add(
+                f"{name}_{sign}",
+                f'mesh.Surface.contains(sign="{sign}")',
+                parameter,
+                "none",
+                values,
+                last=last,
+                error=0.0,
+                statement=statement,
+                wrong_share=wrong_share,
+                logarithmic=logarithmic,
+                case={"sign": sign},
+            )(ask)
+
+    return note
 
 
 def _asked(mesh: TriangleMesh, points: NDArray[np.float64], inside: Any, sign: str, device: Any) -> Judgement:
@@ -51,42 +88,21 @@ def _asked_of_sphere(mesh: TriangleMesh, sign: str, device: Any, seed: int) -> J
     return _asked(mesh, points[clear], distance[clear] < 0.0, sign, device)
 
 
-def _hole(share: float, sign: str, device: Any, seed: int = 0) -> Judgement:
-    return _asked_of_sphere(without_cap(rotated(icosphere(3), seed), share), sign, device, seed)
-
-
-def _holes(share: float, sign: str, device: Any, seed: int = 0) -> Judgement:
-    return _asked_of_sphere(without_faces(icosphere(3), share, seed), sign, device, seed)
-
-
-def _flips(share: float, sign: str, device: Any, seed: int = 0) -> Judgement:
-    return _asked_of_sphere(flipped_faces(icosphere(3), share, seed), sign, device, seed)
-
-
-def _flips_of_soup(share: float, sign: str, device: Any, seed: int = 0) -> Judgement:
-    """Separate triangles: none has a neighbor that could determine its winding."""
-    mesh = flipped_faces(icosphere(3), share, seed)
-    corners = mesh.vertices[mesh.faces]
-    middle = corners.mean(axis=1, keepdims=True)
-    shrunk = (middle + SHRUNK * (corners - middle)).reshape(-1, 3)
-    soup = TriangleMesh(shrunk, np.arange(len(shrunk)).reshape(-1, 3))
-    return _asked_of_sphere(soup, sign, device, seed)
-
-
-def _copies(share: float, sign: str, device: Any, seed: int = 0) -> Judgement:
-    return _asked_of_sphere(copied_faces(icosphere(3), share, seed), sign, device, seed)
-
-
-def _overlap(depth: float, sign: str, device: Any, seed: int = 0) -> Judgement:
-    """Two unit spheres that overlap by this depth."""
-    apart = 2.0 - depth
-    points = np.random.default_rng(seed).uniform((-BOX, -BOX, -BOX), (BOX, BOX, BOX + apart), (POINTS, 3))
-    distances = np.stack([sphere_distance(points), sphere_distance(points - [0.0, 0.0, apart])])
-    clear = (np.abs(distances) > FACETS).all(axis=0)
-    mesh = join(icosphere(3), moved(icosphere(3), (0.0, 0.0, apart)))
-    return _asked(mesh, points[clear], (distances[:, clear] < 0.0).any(axis=0), sign, device)
-
-
+@by_sign(
+    "sign_near_surface",
+    "distance from the surface [radii of the torus]",
+    (*powers(-2, -14, -4), *powers(-15, -18, -1)),
+    {
+        "pseudonormal": (1e-14, 0.0, f"On a clean mesh the pseudonormal {FARTHER}."),
+        # Winding numbers on a GPU are accurate to 0.02: this close to the surface either side of 1/2 occurs.
+        "winding": (
+            lambda device: 1e-6 if on_gpu(device) else 1e-14,
+            0.0,
+            f"On a clean mesh the winding number {FARTHER}, on a GPU 1e-6.",
+        ),
+        "parity": (1e-14, 0.0, f"On a clean mesh the vote of rays {FARTHER}."),
+    },
+)
 def _near(distance: float, sign: str, device: Any, seed: int = 0) -> Judgement:
     """Points at this distance from a torus, on both sides of its triangles; some at edges and vertices."""
     rng = np.random.default_rng(seed)
@@ -103,187 +119,136 @@ def _near(distance: float, sign: str, device: Any, seed: int = 0) -> Judgement:
     return _asked(mesh, points, side < 0.0, sign, device)
 
 
-def sign_sweeps(device: Any) -> list[Sweep]:
-    """Sweeps of :meth:`Surface.contains`, whose signs are those of :meth:`Surface.signed_distance`, on this device."""
-    return [
-        *_near_sweeps(device),
-        *_hole_sweeps(device),
-        *_flip_sweeps(device),
-        *_copy_sweeps(device),
-        *_overlap_sweeps(device),
-    ]
+@by_sign(
+    "sign_hole",
+    "share of the area that one hole removes",
+    HOLES,
+    {
+        "winding": (0.1, 0.03, f"With a hole of 10% of a sphere's area the winding number leaves under 3% {HALF}."),
+        "pseudonormal": (0.1, 0.02, f"With a hole of 10% of a sphere's area pseudonormals leave under 2% {HALF}."),
+        "parity": (0.1, 0.07, f"With a hole of 10% of a sphere's area a vote of rays leaves under 7% {HALF}."),
+    },
+)
+def _hole(share: float, sign: str, device: Any, seed: int = 0) -> Judgement:
+    return _asked_of_sphere(without_cap(rotated(icosphere(3), seed), share), sign, device, seed)
 
 
-def _sweeps(
-    name: str,
-    parameter: str,
-    values: tuple[float, ...],
-    ask: Callable[..., Judgement],
-    promises: Mapping[str, tuple[float, float, str]],
-    device: Any,
-    logarithmic: bool = True,
-) -> list[Sweep]:
-    """A sweep for each method of signs; a promise is the last value, the share of wrong answers and the statement."""
-    return [
-        make_sweep(
-            f"{name}_{sign}",
-            f'mesh.Surface.contains(sign="{sign}")',
-            parameter,
-            "none",
-            values,
-            partial(ask, sign=sign, device=device),
-            last=last,
-            error=0.0,
-            statement=statement,
-            wrong_share=wrong_share,
-            logarithmic=logarithmic,
+@by_sign(
+    "sign_holes",
+    "share of the area that many small holes remove",
+    (*HOLES, 0.7),
+    {
+        "winding": (
+            0.2,
+            FEW,
+            f"With small holes of 20% of the area in total the winding number leaves under 0.5% {HALF}.",
+        ),
+        "parity": (
+            0.03,
+            FEW,
+            f"With small holes of 3% of the area in total a vote of rays leaves under 0.5% {HALF}.",
+        ),
+    },
+)
+def _holes(share: float, sign: str, device: Any, seed: int = 0) -> Judgement:
+    return _asked_of_sphere(without_faces(icosphere(3), share, seed), sign, device, seed)
+
+
+@by_sign(
+    "sign_flips",
+    "share of the faces that are flipped",
+    (0.01, 0.1, 0.3, 0.6),
+    {
+        "auto": (
+            0.6,
+            0.0,
+            "Faces of a closed mesh may have any winding, which is corrected first: no failure found.",
         )
-        for sign, (last, wrong_share, statement) in promises.items()
-    ]
+    },
+    logarithmic=False,
+)
+def _flips(share: float, sign: str, device: Any, seed: int = 0) -> Judgement:
+    return _asked_of_sphere(flipped_faces(icosphere(3), share, seed), sign, device, seed)
 
 
-def _near_sweeps(device: Any) -> list[Sweep]:
-    clean, farther = "On a clean mesh the", "is right for points 1e-14 sizes from the surface and farther"
-    return _sweeps(
-        "sign_near_surface",
-        "distance from the surface [radii of the torus]",
-        (*powers(-2, -14, -4), *powers(-15, -18, -1)),
-        _near,
-        {
-            "pseudonormal": (1e-14, 0.0, f"{clean} pseudonormal {farther}."),
-            # Winding numbers on a GPU are accurate to 0.02: this close to the surface either side of 1/2 occurs.
-            "winding": (
-                1e-6 if on_gpu(device) else 1e-14,
-                0.0,
-                f"{clean} winding number {farther}, on a GPU 1e-6.",
-            ),
-            "parity": (1e-14, 0.0, f"{clean} vote of rays {farther}."),
-        },
-        device,
-    )
+@by_sign(
+    "sign_soup_flips",
+    "share of the faces that are flipped, in a soup",
+    (0.01, 0.05, 0.1, 0.2, 0.3, 0.4, 0.6),
+    {
+        "winding": (
+            0.1,
+            0.015,
+            "If 10% of triangles that share no vertices are flipped, the winding number is wrong for under 1.5% "
+            "of the points; if 40% are flipped, for nearly all points inside.",
+        ),
+        "pseudonormal": (
+            0.01,
+            0.06,
+            "Among triangles that share no vertices a flipped one reverses the pseudonormal for all points "
+            "nearest to it: 1% of flips gives under 6% of wrong signs.",
+        ),
+        "parity": (
+            0.6,
+            FEW,
+            "A vote of rays does not depend on the winding of faces: no failure found, at gaps of 0.1% of an edge.",
+        ),
+    },
+    logarithmic=False,
+)
+def _flips_of_soup(share: float, sign: str, device: Any, seed: int = 0) -> Judgement:
+    """Separate triangles: none has a neighbor that could determine its winding."""
+    mesh = flipped_faces(icosphere(3), share, seed)
+    corners = mesh.vertices[mesh.faces]
+    middle = corners.mean(axis=1, keepdims=True)
+    shrunk = (middle + SHRUNK * (corners - middle)).reshape(-1, 3)
+    soup = TriangleMesh(shrunk, np.arange(len(shrunk)).reshape(-1, 3))
+    return _asked_of_sphere(soup, sign, device, seed)
 
 
-def _hole_sweeps(device: Any) -> list[Sweep]:
-    shares = (0.01, 0.03, 0.1, 0.2, 0.3, 0.5)
-    one, half = "With a hole of 10% of a sphere's area", "of the points in 1.5 times the box on the wrong side"
-    holes = _sweeps(
-        "sign_hole",
-        "share of the area that one hole removes",
-        shares,
-        _hole,
-        {
-            "winding": (0.1, 0.03, f"{one} the winding number leaves under 3% {half}."),
-            "pseudonormal": (0.1, 0.02, f"{one} pseudonormals leave under 2% {half}."),
-            "parity": (0.1, 0.07, f"{one} a vote of rays leaves under 7% {half}."),
-        },
-        device,
-    )
-    return holes + _sweeps(
-        "sign_holes",
-        "share of the area that many small holes remove",
-        (*shares, 0.7),
-        _holes,
-        {
-            "winding": (
-                0.2,
-                FEW,
-                f"With small holes of 20% of the area in total the winding number leaves under 0.5% {half}.",
-            ),
-            "parity": (
-                0.03,
-                FEW,
-                f"With small holes of 3% of the area in total a vote of rays leaves under 0.5% {half}.",
-            ),
-        },
-        device,
-    )
+@by_sign(
+    "sign_copies",
+    "share of the faces that are there twice",
+    (0.01, 0.03, 0.1, 0.3, 0.6, 1.0),
+    {
+        "winding": (1.0, FEW, "Duplicate faces do not affect the winding number: no failure found."),
+        "parity": (
+            0.03,
+            FEW,
+            "Duplicate faces act as holes in a vote of rays: 3% of them give under 0.5% of wrong signs.",
+        ),
+    },
+)
+def _copies(share: float, sign: str, device: Any, seed: int = 0) -> Judgement:
+    return _asked_of_sphere(copied_faces(icosphere(3), share, seed), sign, device, seed)
 
 
-def _flip_sweeps(device: Any) -> list[Sweep]:
-    shares, parameter = (0.01, 0.05, 0.1, 0.2, 0.3, 0.4, 0.6), "share of the faces that are flipped"
-    closed = _sweeps(
-        "sign_flips",
-        parameter,
-        shares[::2],
-        _flips,
-        {
-            "auto": (
-                0.6,
-                0.0,
-                "Faces of a closed mesh may have any winding, which is corrected first: no failure found.",
-            )
-        },
-        device,
-        logarithmic=False,
-    )
-    return closed + _sweeps(
-        "sign_soup_flips",
-        f"{parameter}, in a soup",
-        shares,
-        _flips_of_soup,
-        {
-            "winding": (
-                0.1,
-                0.015,
-                "If 10% of triangles that share no vertices are flipped, the winding number is wrong for under 1.5% "
-                "of the points; if 40% are flipped, for nearly all points inside.",
-            ),
-            "pseudonormal": (
-                0.01,
-                0.06,
-                "Among triangles that share no vertices a flipped one reverses the pseudonormal for all points "
-                "nearest to it: 1% of flips gives under 6% of wrong signs.",
-            ),
-            "parity": (
-                0.6,
-                FEW,
-                "A vote of rays does not depend on the winding of faces: no failure found, at gaps of 0.1% of an edge.",
-            ),
-        },
-        device,
-        logarithmic=False,
-    )
-
-
-def _copy_sweeps(device: Any) -> list[Sweep]:
-    return _sweeps(
-        "sign_copies",
-        "share of the faces that are there twice",
-        (0.01, 0.03, 0.1, 0.3, 0.6, 1.0),
-        _copies,
-        {
-            "winding": (1.0, FEW, "Duplicate faces do not affect the winding number: no failure found."),
-            "parity": (
-                0.03,
-                FEW,
-                "Duplicate faces act as holes in a vote of rays: 3% of them give under 0.5% of wrong signs.",
-            ),
-        },
-        device,
-    )
-
-
-def _overlap_sweeps(device: Any) -> list[Sweep]:
-    return _sweeps(
-        "sign_overlap",
-        "depth of two unit spheres in each other",
-        (0.0, 0.01, 0.1, 0.3, 0.5, 1.0),
-        _overlap,
-        {
-            "winding": (1.0, 0.0, "Overlapping bodies do not affect the winding number: no failure found."),
-            "pseudonormal": (
-                0.01,
-                FEW,
-                "Where bodies overlap, pseudonormals give wrong signs: for under 0.5% of the points around spheres "
-                "that overlap by 0.01 radii, 1% at 0.1 radii.",
-            ),
-            "parity": (
-                0.1,
-                FEW,
-                "Where two bodies overlap, a vote of rays says outside: for under 0.5% of the points around spheres "
-                "that overlap by 0.1 radii.",
-            ),
-        },
-        device,
-        logarithmic=False,
-    )
+@by_sign(
+    "sign_overlap",
+    "depth of two unit spheres in each other",
+    (0.0, 0.01, 0.1, 0.3, 0.5, 1.0),
+    {
+        "winding": (1.0, 0.0, "Overlapping bodies do not affect the winding number: no failure found."),
+        "pseudonormal": (
+            0.01,
+            FEW,
+            "Where bodies overlap, pseudonormals give wrong signs: for under 0.5% of the points around spheres "
+            "that overlap by 0.01 radii, 1% at 0.1 radii.",
+        ),
+        "parity": (
+            0.1,
+            FEW,
+            "Where two bodies overlap, a vote of rays says outside: for under 0.5% of the points around spheres "
+            "that overlap by 0.1 radii.",
+        ),
+    },
+    logarithmic=False,
+)
+def _overlap(depth: float, sign: str, device: Any, seed: int = 0) -> Judgement:
+    """Two unit spheres that overlap by this depth."""
+    apart = 2.0 - depth
+    points = np.random.default_rng(seed).uniform((-BOX, -BOX, -BOX), (BOX, BOX, BOX + apart), (POINTS, 3))
+    distances = np.stack([sphere_distance(points), sphere_distance(points - [0.0, 0.0, apart])])
+    clear = (np.abs(distances) > FACETS).all(axis=0)
+    mesh = join(icosphere(3), moved(icosphere(3), (0.0, 0.0, apart)))
+    return _asked(mesh, points[clear], (distances[:, clear] < 0.0).any(axis=0), sign, device)

@@ -18,4 +18,4 @@ def points_sweeps(device: Any = None) -> list[Sweep]:
     Returns:
         Sweeps with different names.
     """
-    return [sweep for part in (points_search, points_shape) for sweep in part.sweeps(device)]
+    return [sweep for part in (points_search, points_shape) for sweep in part.SWEEPS.on(device)]

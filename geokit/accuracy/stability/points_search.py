@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -10,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.accuracy.reference import mesh as reference
-from geokit.accuracy.trials.model import Judgement, Sweep, make_sweep
+from geokit.accuracy.trials.model import Judgement, Sweeps
 
-__all__ = ["sweeps"]
+__all__ = ["SWEEPS"]
 
+SWEEPS = Sweeps()
 Floats = NDArray[np.float64]
 
 # Points of a cloud in the unit cube, and the number of them used as queries.
@@ -25,96 +25,32 @@ ROUNDING = 2.0**-51
 MOST_NEIGHBORS, MANY = 1024, 3000
 # Share of the volume that holds the crowd.
 CROWDED = 0.01
+EXACT = "sets of neighbors are exact, and distances to 2^-51: no failure found."
+
+of_radius = partial(SWEEPS.add, method="points.NeighborGrid.radius_search", unit="radii", error=ROUNDING)
 
 
-def sweeps(device: Any = None) -> list[Sweep]:
-    """Sweeps of ``points.NeighborGrid``.
-
-    Args:
-        device: Where the searches run; None for the first GPU, else the CPU.
-    """
-    exact = "sets of neighbors are exact, and distances to 2^-51: no failure found."
-    return [
-        _radius_search(
-            "radius",
-            "radius [spacings], cells made for 2 spacings",
-            (1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0, 1e3),
-            radii,
-            f"From a thousandth of the spacing to a thousand spacings {exact}",
-            device,
-        ),
-        _radius_search(
-            "crowd",
-            "share of the points in 1 % of the volume",
-            (0.01, 0.1, 0.5, 0.9, 0.99, 1.0),
-            crowds,
-            f"With any share of the points in 1 % of the volume, {exact}",
-            device,
-            logarithmic=False,
-        ),
-        _radius_search(
-            "extent",
-            "extent of the cloud [radii]",
-            (1e-6, 1e-3, 1.0, 1e3, 1e6, 1e9, 1e12, 1e15),
-            extents,
-            f"In clouds that are 1e-6 to 1e15 radii wide {exact}",
-            device,
-        ),
-        _radius_search(
-            "duplicates",
-            "points in one place",
-            (1.0, 10.0, 100.0, 1000.0),
-            duplicates,
-            f"With up to 1000 points in one place {exact}",
-            device,
-        ),
-        _nearest(device),
-    ]
-
-
-def _radius_search(
-    name: str,
-    parameter: str,
-    values: tuple[float, ...],
-    ask: Callable[..., Judgement],
-    statement: str,
-    device: Any,
-    logarithmic: bool = True,
-) -> Sweep:
-    return make_sweep(
-        name=f"radius_search_{name}",
-        method="points.NeighborGrid.radius_search",
-        parameter=parameter,
-        unit="radii",
-        values=values,
-        ask=partial(ask, device=device),
-        last=values[-1],
-        error=ROUNDING,
-        statement=statement,
-        logarithmic=logarithmic,
-    )
-
-
-def _nearest(device: Any) -> Sweep:
-    return make_sweep(
-        name="knn_k",
-        method="points.NeighborGrid.knn",
-        parameter="neighbors of a query",
-        unit="relative",
-        values=(1.0, 8.0, 32.0, 128.0, 512.0, 1024.0, 1025.0, 2048.0),
-        ask=partial(nearest, device=device),
-        last=float(MOST_NEIGHBORS),
-        error=ROUNDING,
-        statement=f"Up to {MOST_NEIGHBORS} nearest points are exact, ties by the lowest index; more are refused.",
-    )
-
-
+@of_radius(
+    "radius_search_radius",
+    parameter="radius [spacings], cells made for 2 spacings",
+    values=(1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0, 1e3),
+    last=1e3,
+    statement=f"From a thousandth of the spacing to a thousand spacings {EXACT}",
+)
 def radii(ratio: float, *, seed: int = 0, device: Any = None) -> Judgement:
     """Neighbors within a multiple of the spacing, in cells made for twice the spacing."""
     points = np.random.default_rng(seed).random((COUNT, 3))
     return _searched(points, 2.0 * SPACING, ratio * SPACING, seed, device)
 
 
+@of_radius(
+    "radius_search_crowd",
+    parameter="share of the points in 1 % of the volume",
+    values=(0.01, 0.1, 0.5, 0.9, 0.99, 1.0),
+    last=1.0,
+    statement=f"With any share of the points in 1 % of the volume, {EXACT}",
+    logarithmic=False,
+)
 def crowds(share: float, *, seed: int = 0, device: Any = None) -> Judgement:
     """Neighbors in a cloud with a share of its points in a small cube."""
     random = np.random.default_rng(seed)
@@ -124,6 +60,13 @@ def crowds(share: float, *, seed: int = 0, device: Any = None) -> Judgement:
     return _searched(points, SPACING, SPACING, seed, device)
 
 
+@of_radius(
+    "radius_search_extent",
+    parameter="extent of the cloud [radii]",
+    values=(1e-6, 1e-3, 1.0, 1e3, 1e6, 1e9, 1e12, 1e15),
+    last=1e15,
+    statement=f"In clouds that are 1e-6 to 1e15 radii wide {EXACT}",
+)
 def extents(ratio: float, *, seed: int = 0, device: Any = None) -> Judgement:
     """Neighbors within 1 in a cloud of extent ``ratio``, half of it within a few radii of the center."""
     random = np.random.default_rng(seed)
@@ -132,6 +75,13 @@ def extents(ratio: float, *, seed: int = 0, device: Any = None) -> Judgement:
     return _searched(points, 1.0, 1.0, seed, device)
 
 
+@of_radius(
+    "radius_search_duplicates",
+    parameter="points in one place",
+    values=(1.0, 10.0, 100.0, 1000.0),
+    last=1000.0,
+    statement=f"With up to 1000 points in one place {EXACT}",
+)
 def duplicates(copies: float, *, seed: int = 0, device: Any = None) -> Judgement:
     """Neighbors in a cloud with ``copies`` copies of each point."""
     random = np.random.default_rng(seed)
@@ -140,6 +90,16 @@ def duplicates(copies: float, *, seed: int = 0, device: Any = None) -> Judgement
     return _searched(points, 2.0 * SPACING, 2.0 * SPACING, seed, device)
 
 
+@SWEEPS.add(
+    name="knn_k",
+    method="points.NeighborGrid.knn",
+    parameter="neighbors of a query",
+    unit="relative",
+    values=(1.0, 8.0, 32.0, 128.0, 512.0, 1024.0, 1025.0, 2048.0),
+    last=float(MOST_NEIGHBORS),
+    error=ROUNDING,
+    statement=f"Up to {MOST_NEIGHBORS} nearest points are exact, ties by the lowest index; more are refused.",
+)
 def nearest(k: float, *, seed: int = 0, device: Any = None) -> Judgement:
     """The k nearest points of a cloud in which some points coincide; errors are relative to the distance."""
     from geokit.points.neighbors.neighbor_grid import NeighborGrid

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.accuracy.stability.fields import unit_vectors
-from geokit.accuracy.trials.model import Judgement, Sweep, make_sweep
+from geokit.accuracy.trials.model import Judgement, Sweeps
 
-__all__ = ["sweeps"]
+__all__ = ["SWEEPS"]
 
+SWEEPS = Sweeps()
 Floats = NDArray[np.float64]
 
 # Default number of neighbors of a normal, and points along a side of the noisy plane.
@@ -44,82 +44,17 @@ KERNELS = {
 }
 
 
-def sweeps(device: Any = None) -> list[Sweep]:
-    """Sweeps of ``points.normals``, ``points.register`` and ``points.density``.
-
-    Args:
-        device: Where the methods compute; None for the first GPU, else the CPU.
-    """
-    return [
-        _noise(device),
-        _curvature(device),
-        *(_turned(method, device) for method in ("point_to_plane", "point_to_point")),
-        *(_support(kernel, device) for kernel in KERNELS),
-    ]
-
-
-def _noise(device: Any) -> Sweep:
-    return make_sweep(
-        name="normals_noise",
-        method="points.normals",
-        parameter="noise [spacings], k = 16",
-        unit="degrees",
-        values=(1e-4, 1e-3, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0),
-        ask=partial(noisy_planes, device=device),
-        last=0.1,
-        error=15.0,
-        statement="Noise of a tenth of the spacing tilts normals by at most 15 degrees (1.6 in the median) at k = 16, "
-        "less noise in proportion; at noise of a whole spacing directions carry no information.",
-    )
-
-
-def _curvature(device: Any) -> Sweep:
-    return make_sweep(
-        name="normals_curvature",
-        method="points.normals",
-        parameter="radius of the neighborhood [radii of curvature]",
-        unit="degrees",
-        values=(0.6, 0.8, 1.2, 1.6, 2.4, 3.2),
-        ask=partial(wide_planes, device=device),
-        last=1.2,
-        error=30.0,
-        statement="Neighborhoods with a radius of up to 1.2 radii of curvature give normals to 30 degrees at worst (4 "
-        "rms); neighborhoods twice as large reach around the body, and normals may be those of another side.",
-    )
-
-
-def _turned(method: str, device: Any) -> Sweep:
-    return make_sweep(
-        name=f"register_{method}_angle",
-        method=f"points.register, {method}",
-        parameter="angle of the start [degrees]",
-        unit="sizes",
-        values=(1.0, 10.0, 30.0, 45.0, 90.0, 135.0, 180.0),
-        ask=partial(turned_ellipsoids, method=method, device=device),
-        last=45.0,
-        error=1e-12,
-        statement="A noise-free ellipsoid (axes 1, 0.7, 0.45) is recovered exactly from starts rotated by up to 45 "
-        "degrees; from 90 degrees on some runs end at another pose, which rmse shows.",
-        logarithmic=False,
-    )
-
-
-def _support(kernel: str, device: Any) -> Sweep:
-    error, scattered = KERNELS[kernel]
-    return make_sweep(
-        name=f"density_{kernel}_radius",
-        method=f"points.density, {kernel}",
-        parameter="radius [spacings]",
-        unit="relative",
-        values=(4.0, 3.0, 2.0, 1.5, 1.0, 0.75, 0.5),
-        ask=partial(lattice_densities, kernel=kernel, device=device),
-        last=2.0,
-        error=error,
-        statement=f"On a lattice a radius of 2 spacings or more gives the density to {error:.0%}; a radius of 1 "
-        f"spacing gives nothing like it. Random points scatter more: {scattered:.0%} rms at 3 spacings.",
-    )
-
-
+@SWEEPS.add(
+    name="normals_noise",
+    method="points.normals",
+    parameter="noise [spacings], k = 16",
+    unit="degrees",
+    values=(1e-4, 1e-3, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0),
+    last=0.1,
+    error=15.0,
+    statement="Noise of a tenth of the spacing tilts normals by at most 15 degrees (1.6 in the median) at k = 16, "
+    "less noise in proportion; at noise of a whole spacing directions carry no information.",
+)
 def noisy_planes(noise: float, *, seed: int = 0, device: Any = None) -> Judgement:
     """Normals of a noisy plane with one random point in each cell."""
     random = np.random.default_rng(seed)
@@ -129,6 +64,17 @@ def noisy_planes(noise: float, *, seed: int = 0, device: Any = None) -> Judgemen
     return _angles(points, np.array([0.0, 0.0, 1.0]), K, device)
 
 
+@SWEEPS.add(
+    name="normals_curvature",
+    method="points.normals",
+    parameter="radius of the neighborhood [radii of curvature]",
+    unit="degrees",
+    values=(0.6, 0.8, 1.2, 1.6, 2.4, 3.2),
+    last=1.2,
+    error=30.0,
+    statement="Neighborhoods with a radius of up to 1.2 radii of curvature give normals to 30 degrees at worst (4 "
+    "rms); neighborhoods twice as large reach around the body, and normals may be those of another side.",
+)
 def wide_planes(width: float, *, seed: int = 0, device: Any = None) -> Judgement:
     """Normals of a torus from neighborhoods as wide as ``width`` times its tube's radius."""
     random = np.random.default_rng(seed)
@@ -162,6 +108,22 @@ def turned_ellipsoids(angle: float, *, method: str, seed: int = 0, device: Any =
     return Judgement(errors, wrong)
 
 
+for method in ("point_to_plane", "point_to_point"):
+    SWEEPS.add(
+        name=f"register_{method}_angle",
+        method=f"points.register, {method}",
+        parameter="angle of the start [degrees]",
+        unit="sizes",
+        values=(1.0, 10.0, 30.0, 45.0, 90.0, 135.0, 180.0),
+        last=45.0,
+        error=1e-12,
+        statement="A noise-free ellipsoid (axes 1, 0.7, 0.45) is recovered exactly from starts rotated by up to 45 "
+        "degrees; from 90 degrees on some runs end at another pose, which rmse shows.",
+        logarithmic=False,
+        case={"method": method},
+    )(turned_ellipsoids)
+
+
 def lattice_densities(radius: float, *, kernel: str, seed: int = 0, device: Any = None) -> Judgement:
     """Densities at random positions in a lattice of spacing 1; the exact density is 1."""
     from geokit.points._density import density
@@ -171,6 +133,21 @@ def lattice_densities(radius: float, *, kernel: str, seed: int = 0, device: Any 
     queries = np.random.default_rng(seed).uniform(-ASKED, ASKED, (2000, 3))
     found = density(points, radius=radius, kernel=kernel, queries=queries, device=device)
     return Judgement(np.abs(found - 1.0), np.zeros(len(queries), bool), queries)
+
+
+for kernel, (error, scattered) in KERNELS.items():
+    SWEEPS.add(
+        name=f"density_{kernel}_radius",
+        method=f"points.density, {kernel}",
+        parameter="radius [spacings]",
+        unit="relative",
+        values=(4.0, 3.0, 2.0, 1.5, 1.0, 0.75, 0.5),
+        last=2.0,
+        error=error,
+        statement=f"On a lattice a radius of 2 spacings or more gives the density to {error:.0%}; a radius of 1 "
+        f"spacing gives nothing like it. Random points scatter more: {scattered:.0%} rms at 3 spacings.",
+        case={"kernel": kernel},
+    )(lattice_densities)
 
 
 def _angles(points: Floats, true: Floats, k: int, device: Any) -> Judgement:

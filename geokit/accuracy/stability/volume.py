@@ -18,5 +18,8 @@ def volume_sweeps(device: Any = None) -> list[Sweep]:
     Returns:
         Sweeps with different names. Those of methods that need OpenVDB are left out if geokit was built without it.
     """
-    parts = (volume_mesh, volume_sample, volume_rays, volume_change)
-    return [sweep for part in parts for sweep in part.sweeps(device)]
+    from geokit import native
+
+    smoothing = [volume_change.SMOOTHING] if native.available() else []
+    parts = [volume_mesh.SWEEPS, volume_sample.SWEEPS, volume_rays.SWEEPS, volume_change.SWEEPS, *smoothing]
+    return [sweep for part in parts for sweep in part.on(device)]

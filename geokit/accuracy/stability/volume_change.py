@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.accuracy.stability.fields import ball, level_set, voxel_centers
-from geokit.accuracy.trials.model import Judgement, Sweep, make_sweep
+from geokit.accuracy.trials.model import Judgement, Sweeps
 
 if TYPE_CHECKING:
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["sweeps"]
+__all__ = ["SMOOTHING", "SWEEPS"]
 
+# What is asked of every build of geokit, and what needs OpenVDB.
+SWEEPS, SMOOTHING = Sweeps(), Sweeps()
 Floats = NDArray[np.float64]
 
 HALF_WIDTH = 3.0
@@ -32,94 +33,18 @@ WAVE_NUMBER = 0.25
 GAUSSIAN_SHRINKS = 8.0 / 3.0
 
 
-def sweeps(device: Any = None) -> list[Sweep]:
-    """Sweeps of ``volume.renormalize``, ``offset`` and, with OpenVDB, ``smooth``.
-
-    Args:
-        device: Where the methods compute; None for the first GPU, else the CPU.
-    """
-    from geokit import native
-
-    found = [_slope(device), _uneven(device), _curvature(device), _offset(device)]
-    return [*found, _smooth(device)] if native.available() else found
-
-
-def _slope(device: Any) -> Sweep:
-    return make_sweep(
-        name="renormalize_slope",
-        method="volume.renormalize",
-        parameter="slope of the field, cut off at +-3 voxels",
-        unit="voxels",
-        values=(0.1, 0.3, 1.0, 1.7, 3.0, 6.0, 16.0),
-        ask=partial(evened_slopes, device=device),
-        last=1.7,
-        error=0.02,
-        statement="Uniform slopes up to half_width / 1.75 become distances with an error of at most 0.02 voxel "
-        "(radius of 16 voxels). Steeper fields are cut off within the cells that the surface crosses, which hides its "
-        "position.",
-    )
-
-
-def _uneven(device: Any) -> Sweep:
-    return make_sweep(
-        name="renormalize_uneven_slope",
-        method="volume.renormalize",
-        parameter="change of the slope [1 / voxel]",
-        unit="voxels",
-        values=(0.01, 0.02, 0.04, 0.08, 0.12, 0.2),
-        ask=partial(evened_waves, device=device),
-        last=0.02,
-        error=0.1,
-        statement="If the slope changes by up to 2 % a voxel, distances have an error of at most 0.1 voxel (at 4 % "
-        "only just); at 20 % they are a voxel off.",
-    )
-
-
-def _curvature(device: Any) -> Sweep:
-    return make_sweep(
-        name="renormalize_curvature",
-        method="volume.renormalize",
-        parameter="radius of curvature [voxels], slope 0.7",
-        unit="voxels",
-        values=(20.0, 10.0, 5.0, 2.5, 1.25, 0.6),
-        ask=partial(evened_balls, device=device),
-        last=10.0,
-        error=0.02,
-        statement="Distances have an error of at most 0.02 voxel around surfaces whose radius of curvature is at "
-        "least 10 voxels.",
-    )
-
-
-def _offset(device: Any) -> Sweep:
-    return make_sweep(
-        name="offset_radius",
-        method="volume.offset",
-        parameter="radius of curvature that is left [voxels] of 12",
-        unit="voxels",
-        values=(11.0, 10.0, 8.0, 4.0, 2.0, 1.0, 0.3),
-        ask=partial(shrunk_balls, device=device),
-        last=8.0,
-        error=0.05,
-        statement="Offsets have an error of at most 0.05 voxel if the radius of curvature is at least 8 voxels, "
-        "before and after.",
-    )
-
-
-def _smooth(device: Any) -> Sweep:
-    return make_sweep(
-        name="smooth_gaussian_radius",
-        method="volume.smooth, gaussian",
-        parameter="radius of a ball [voxels]",
-        unit="voxels",
-        values=(20.0, 16.0, 12.0, 8.0, 4.0, 3.0, 2.0),
-        ask=partial(smoothed_balls, device=device),
-        last=8.0,
-        error=0.05,
-        statement="One pass of width 1 moves the surface inward by 2.7 voxel^2 over the radius of curvature, with an "
-        "error of at most 0.05 voxel from a radius of 8 voxels on; balls of 2 voxels and less disappear.",
-    )
-
-
+@SWEEPS.add(
+    name="renormalize_slope",
+    method="volume.renormalize",
+    parameter="slope of the field, cut off at +-3 voxels",
+    unit="voxels",
+    values=(0.1, 0.3, 1.0, 1.7, 3.0, 6.0, 16.0),
+    last=1.7,
+    error=0.02,
+    statement="Uniform slopes up to half_width / 1.75 become distances with an error of at most 0.02 voxel "
+    "(radius of 16 voxels). Steeper fields are cut off within the cells that the surface crosses, which hides its "
+    "position.",
+)
 def evened_slopes(slope: float, *, seed: int = 0, device: Any = None) -> Judgement:
     """Redistancing of distances multiplied by a constant."""
     from geokit.volume._morphology import renormalize
@@ -129,6 +54,17 @@ def evened_slopes(slope: float, *, seed: int = 0, device: Any = None) -> Judgeme
     return _judged(renormalize(spoiled, device=device), distance, RADIUS, seed, device)
 
 
+@SWEEPS.add(
+    name="renormalize_uneven_slope",
+    method="volume.renormalize",
+    parameter="change of the slope [1 / voxel]",
+    unit="voxels",
+    values=(0.01, 0.02, 0.04, 0.08, 0.12, 0.2),
+    last=0.02,
+    error=0.1,
+    statement="If the slope changes by up to 2 % a voxel, distances have an error of at most 0.1 voxel (at 4 % "
+    "only just); at 20 % they are a voxel off.",
+)
 def evened_waves(change: float, *, seed: int = 0, device: Any = None) -> Judgement:
     """Redistancing of distances multiplied by a wave with mean 1."""
     from geokit.volume._morphology import renormalize
@@ -139,6 +75,17 @@ def evened_waves(change: float, *, seed: int = 0, device: Any = None) -> Judgeme
     return _judged(renormalize(spoiled, device=device), distance, RADIUS, seed, device)
 
 
+@SWEEPS.add(
+    name="renormalize_curvature",
+    method="volume.renormalize",
+    parameter="radius of curvature [voxels], slope 0.7",
+    unit="voxels",
+    values=(20.0, 10.0, 5.0, 2.5, 1.25, 0.6),
+    last=10.0,
+    error=0.02,
+    statement="Distances have an error of at most 0.02 voxel around surfaces whose radius of curvature is at "
+    "least 10 voxels.",
+)
 def evened_balls(radius: float, *, seed: int = 0, device: Any = None) -> Judgement:
     """Redistancing around balls from fields with a slope below 1."""
     from geokit.volume._morphology import renormalize
@@ -148,6 +95,17 @@ def evened_balls(radius: float, *, seed: int = 0, device: Any = None) -> Judgeme
     return _judged(renormalize(spoiled, device=device), distance, radius, seed, device)
 
 
+@SWEEPS.add(
+    name="offset_radius",
+    method="volume.offset",
+    parameter="radius of curvature that is left [voxels] of 12",
+    unit="voxels",
+    values=(11.0, 10.0, 8.0, 4.0, 2.0, 1.0, 0.3),
+    last=8.0,
+    error=0.05,
+    statement="Offsets have an error of at most 0.05 voxel if the radius of curvature is at least 8 voxels, "
+    "before and after.",
+)
 def shrunk_balls(radius: float, *, seed: int = 0, device: Any = None) -> Judgement:
     """Distances around a ball after an inward offset."""
     from geokit.volume._morphology import offset
@@ -156,6 +114,17 @@ def shrunk_balls(radius: float, *, seed: int = 0, device: Any = None) -> Judgeme
     return _judged(offset(body, radius - SHRINKING, device=device), ball(radius), radius, seed, device)
 
 
+@SMOOTHING.add(
+    name="smooth_gaussian_radius",
+    method="volume.smooth, gaussian",
+    parameter="radius of a ball [voxels]",
+    unit="voxels",
+    values=(20.0, 16.0, 12.0, 8.0, 4.0, 3.0, 2.0),
+    last=8.0,
+    error=0.05,
+    statement="One pass of width 1 moves the surface inward by 2.7 voxel^2 over the radius of curvature, with an "
+    "error of at most 0.05 voxel from a radius of 8 voxels on; balls of 2 voxels and less disappear.",
+)
 def smoothed_balls(radius: float, *, seed: int = 0, device: Any = None) -> Judgement:
     """Distances around smoothed balls, against balls that are smaller by the theoretical shrinkage."""
     from geokit.volume._filters import smooth

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,14 +11,15 @@ from numpy.typing import NDArray
 from geokit.accuracy.reference import mesh as reference
 from geokit.accuracy.stability import shapes
 from geokit.accuracy.stability.fields import MIDDLE, ball, level_set, unit_vectors
-from geokit.accuracy.trials.model import Judgement, Sweep, make_sweep
+from geokit.accuracy.trials.model import Judgement, Sweeps
 
 if TYPE_CHECKING:
     from geokit.mesh.model.triangle_mesh import TriangleMesh
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["sweeps"]
+__all__ = ["SWEEPS"]
 
+SWEEPS = Sweeps()
 Floats = NDArray[np.float64]
 
 # Half the side of a wall [voxels], and the extent of its queries: farther from the rim than the wall is thick.
@@ -42,100 +42,18 @@ FAR_VOXELS, FAR_REACH = 40.0, 2
 FAR_DIRECTION = np.array([0.6, -0.5, 0.62])
 
 
-def sweeps(device: Any = None) -> list[Sweep]:
-    """Sweeps of ``volume.from_mesh`` and ``mesh.from_volume``.
-
-    Args:
-        device: Where the methods compute; None for the first GPU, else the CPU.
-    """
-    return [
-        _walls_by_sample(device),
-        _walls_by_surface(device),
-        _isovalue(device),
-        *(_small_balls(method, device) for method in CURVATURE_ERROR),
-        _far_away(device),
-    ]
-
-
-def _walls_by_sample(device: Any) -> Sweep:
-    return make_sweep(
-        name="from_mesh_thin_wall",
-        method="volume.from_mesh",
-        parameter="thickness of a wall [voxels]",
-        unit="voxels",
-        values=(4.0, 3.0, 2.0, 1.0, 0.5, 0.25, 0.1),
-        ask=partial(wall_distances, device=device),
-        last=2.0,
-        # The interpolant of |x| is a mean over corners with a variance of at most a quarter voxel^2 each way.
-        error=0.5 + ROUNDING,
-        statement="Points inside walls of 2 voxels and more have the right sign; the interpolated distance is off by "
-        "up to half a voxel around the middle of any wall, and walls thinner than a voxel may have no inside.",
-    )
-
-
-def _walls_by_surface(device: Any) -> Sweep:
-    return make_sweep(
-        name="from_volume_thin_wall",
-        method="mesh.from_volume",
-        parameter="thickness of a wall [voxels]",
-        unit="voxels",
-        values=(4.0, 3.0, 2.0, 1.0, 0.5, 0.25, 0.1),
-        ask=partial(wall_surfaces, device=device),
-        last=2.0,
-        error=0.1,
-        statement="Both faces of walls of 2 voxels and more are recovered to 0.1 voxel; walls of 1 voxel and less are "
-        "off by half a voxel and more, have holes, or are lost.",
-    )
-
-
-def _isovalue(device: Any) -> Sweep:
-    return make_sweep(
-        name="from_volume_isovalue",
-        method="mesh.from_volume",
-        parameter="distance of the isovalue from the surface [voxels], band of half width 3",
-        unit="voxels",
-        values=(0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 2.9, 3.0, 3.5),
-        ask=partial(offset_surfaces, device=device),
-        last=2.0,
-        error=0.06,
-        statement="Isovalues up to half_width - 1 voxels from the surface give the offset surface, to 0.06 voxel on a "
-        "sphere of 20 voxels; closer to the end of the band the surface is up to a voxel off, and beyond it there is "
-        "none.",
-        logarithmic=False,
-    )
-
-
-def _small_balls(method: str, device: Any) -> Sweep:
-    constant = CURVATURE_ERROR[method]
-    return make_sweep(
-        name=f"from_volume_{method}_curvature",
-        method=f"mesh.from_volume, {method}",
-        parameter="radius of curvature [voxels]",
-        unit="voxels",
-        values=(16.0, 8.0, 4.0, 2.0, 1.0, 0.5, 0.25),
-        ask=partial(ball_surfaces, method=method, device=device),
-        last=1.0,
-        error=lambda radius: constant / radius,
-        statement=f"The surface of a distance field is off by at most {constant:g} voxel^2 over the radius of "
-        "curvature, down to a radius of 1 voxel; balls of less than 0.87 voxel may be lost.",
-    )
-
-
-def _far_away(device: Any) -> Sweep:
-    return make_sweep(
-        name="from_mesh_origin",
-        method="volume.from_mesh",
-        parameter="distance from the origin [sizes of the mesh]",
-        unit="sizes",
-        values=(1.0, 1e3, 1e6, 1e9, 1e12, 1e14, 1e15),
-        ask=partial(far_distances, device=device),
-        last=1e9,
-        error=1e-6,
-        statement="Distances have an error of at most 1e-6 of the size up to 1e9 sizes from the origin: a few "
-        "roundings of float64 coordinates, 2^-52 of the distance from the origin, and nothing else.",
-    )
-
-
+@SWEEPS.add(
+    name="from_mesh_thin_wall",
+    method="volume.from_mesh",
+    parameter="thickness of a wall [voxels]",
+    unit="voxels",
+    values=(4.0, 3.0, 2.0, 1.0, 0.5, 0.25, 0.1),
+    last=2.0,
+    # The interpolant of |x| is a mean over corners with a variance of at most a quarter voxel^2 each way.
+    error=0.5 + ROUNDING,
+    statement="Points inside walls of 2 voxels and more have the right sign; the interpolated distance is off by "
+    "up to half a voxel around the middle of any wall, and walls thinner than a voxel may have no inside.",
+)
 def wall_distances(thickness: float, *, seed: int = 0, device: Any = None) -> Judgement:
     """Signed distances at points inside walls, sampled from their level set at order 1."""
     errors, wrong, positions = [], [], []
@@ -152,6 +70,17 @@ def wall_distances(thickness: float, *, seed: int = 0, device: Any = None) -> Ju
     return _together(errors, wrong, positions)
 
 
+@SWEEPS.add(
+    name="from_volume_thin_wall",
+    method="mesh.from_volume",
+    parameter="thickness of a wall [voxels]",
+    unit="voxels",
+    values=(4.0, 3.0, 2.0, 1.0, 0.5, 0.25, 0.1),
+    last=2.0,
+    error=0.1,
+    statement="Both faces of walls of 2 voxels and more are recovered to 0.1 voxel; walls of 1 voxel and less are "
+    "off by half a voxel and more, have holes, or are lost.",
+)
 def wall_surfaces(thickness: float, *, seed: int = 0, device: Any = None) -> Judgement:
     """Distances of points on both faces of a wall from the reconstructed surface."""
     from geokit.mesh.volumes.from_volume import from_volume
@@ -169,6 +98,19 @@ def wall_surfaces(thickness: float, *, seed: int = 0, device: Any = None) -> Jud
     return _together(errors, wrong, positions)
 
 
+@SWEEPS.add(
+    name="from_volume_isovalue",
+    method="mesh.from_volume",
+    parameter="distance of the isovalue from the surface [voxels], band of half width 3",
+    unit="voxels",
+    values=(0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 2.9, 3.0, 3.5),
+    last=2.0,
+    error=0.06,
+    statement="Isovalues up to half_width - 1 voxels from the surface give the offset surface, to 0.06 voxel on a "
+    "sphere of 20 voxels; closer to the end of the band the surface is up to a voxel off, and beyond it there is "
+    "none.",
+    logarithmic=False,
+)
 def offset_surfaces(isovalue: float, *, seed: int = 0, device: Any = None) -> Judgement:
     """Distances of the isosurfaces inside and outside of a sphere from the exact spheres."""
     from geokit.mesh.volumes.from_volume import from_volume
@@ -195,6 +137,32 @@ def ball_surfaces(radius: float, *, method: str, seed: int = 0, device: Any = No
     return _together(*zip(*judgements, strict=True))
 
 
+for method, constant in CURVATURE_ERROR.items():
+    SWEEPS.add(
+        name=f"from_volume_{method}_curvature",
+        method=f"mesh.from_volume, {method}",
+        parameter="radius of curvature [voxels]",
+        unit="voxels",
+        values=(16.0, 8.0, 4.0, 2.0, 1.0, 0.5, 0.25),
+        last=1.0,
+        error=lambda radius, constant=constant: constant / radius,
+        statement=f"The surface of a distance field is off by at most {constant:g} voxel^2 over the radius of "
+        "curvature, down to a radius of 1 voxel; balls of less than 0.87 voxel may be lost.",
+        case={"method": method},
+    )(ball_surfaces)
+
+
+@SWEEPS.add(
+    name="from_mesh_origin",
+    method="volume.from_mesh",
+    parameter="distance from the origin [sizes of the mesh]",
+    unit="sizes",
+    values=(1.0, 1e3, 1e6, 1e9, 1e12, 1e14, 1e15),
+    last=1e9,
+    error=1e-6,
+    statement="Distances have an error of at most 1e-6 of the size up to 1e9 sizes from the origin: a few "
+    "roundings of float64 coordinates, 2^-52 of the distance from the origin, and nothing else.",
+)
 def far_distances(distance: float, *, seed: int = 0, device: Any = None) -> Judgement:
     """Voxels near the surface of a far torus, against the same torus moved back without rounding."""
     near = shapes.torus(24, 12)

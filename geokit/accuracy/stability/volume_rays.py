@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.accuracy.stability.fields import MIDDLE, Field, ball, field, level_set, unit_vectors
-from geokit.accuracy.trials.model import Judgement, Sweep, make_sweep
+from geokit.accuracy.trials.model import Judgement, Sweeps
 
-__all__ = ["sweeps"]
+__all__ = ["SWEEPS"]
 
+SWEEPS = Sweeps()
 Floats = NDArray[np.float64]
 
 # The target sphere and the distance at which rays start [voxels].
@@ -32,141 +32,51 @@ FOG_REACH = 12
 EMISSION_ERROR = 1e-9
 
 
-def sweeps(device: Any = None) -> list[Sweep]:
-    """Sweeps of ``volume.raycast`` and ``volume.integrate``.
-
-    Args:
-        device: Where the methods compute; None for the first GPU, else the CPU.
-    """
-    return [
-        _slope(device),
-        _half_width(device),
-        _exponent(device),
-        _grazing(device),
-        _scale(device),
-        _free_path(device),
-        _depth(device),
-    ]
-
-
-def _slope(device: Any) -> Sweep:
-    return make_sweep(
-        name="raycast_volume_slope",
-        method="volume.raycast",
-        parameter="slope of the field, cut off at +-3 voxels",
-        unit="voxels",
-        values=(0.25, 0.5, 1.0, 1.7, 3.0, 6.0, 16.0),
-        ask=partial(steep_hits, device=device),
-        last=1.7,
-        error=SURFACE,
-        statement="Rays hit at any slope: they find the interpolant's surface, which is that of the field up to a "
-        "slope of half_width / 1.75. Steeper fields are cut off within the cells that the surface crosses, and the "
-        "surface is up to half a voxel off.",
-    )
-
-
-def _half_width(device: Any) -> Sweep:
-    return make_sweep(
-        name="raycast_volume_band",
-        method="volume.raycast",
-        parameter="half width of a distance field's band [voxels]",
-        unit="voxels",
-        values=(6.0, 3.0, 2.0, CELL, 1.25, 1.0, 0.5),
-        ask=partial(banded_hits, device=device),
-        last=CELL,
-        error=SURFACE,
-        statement="A half width of 1.75 voxels is enough: the corners of the cells that the surface crosses are then "
-        "in the band. In narrower bands hits are up to half a voxel off.",
-    )
-
-
-def _exponent(device: Any) -> Sweep:
-    return make_sweep(
-        name="raycast_volume_exponent",
-        method="volume.raycast",
-        parameter="exponent of a field that is a power of the distance",
-        unit="voxels",
-        values=(1.0, 1.25, 1.5, 2.0, 3.0, 5.0, 9.0),
-        ask=partial(power_hits, device=device),
-        last=2.0,
-        error=0.25,
-        statement="Fields that are not distances lose no rays; only the interpolant's surface moves, by up to a "
-        "quarter voxel where a field is as flat as the squared distance, by half a voxel for high powers.",
-    )
-
-
-def _grazing(device: Any) -> Sweep:
-    return make_sweep(
-        name="raycast_volume_grazing",
-        method="volume.raycast",
-        parameter="angle between ray and surface [degrees], radius 16 voxels",
-        unit="voxels",
-        values=(90.0, 60.0, 30.0, 10.0, 4.0, 2.0, 1.0, 0.3, 0.1),
-        ask=partial(grazing_hits, device=device),
-        last=4.0,
-        error=SURFACE,
-        statement="Rays at 4 degrees or more to a surface with a radius of 16 voxels hit it; in general, rays that "
-        "reach at least 0.375 voxel^2 over the radius below it do. The interpolant's surface lies at most that far "
-        "inside, and shallower rays may miss it.",
-    )
-
-
-def _scale(device: Any) -> Sweep:
-    return make_sweep(
-        name="raycast_volume_scale",
-        method="volume.raycast",
-        parameter="factor on a distance field and its background",
-        unit="voxels",
-        values=(1.0, 1e-10, 1e-20, 1e-30, 1e-37, 1e-43, 1e-44),
-        ask=partial(scaled_hits, device=device),
-        last=1e-37,
-        error=SURFACE,
-        statement="Surfaces are found at any scale that float32 represents, down to 1e-37 a voxel; below it, values "
-        "lose digits and then vanish.",
-    )
-
-
-def _free_path(device: Any) -> Sweep:
-    return make_sweep(
-        name="integrate_free_path",
-        method="volume.integrate",
-        parameter="mean free path [voxels] in fog that begins and ends within a voxel",
-        unit="relative",
-        values=(256.0, 64.0, 16.0, 4.0, 1.0, 0.25),
-        ask=partial(slab_transmittances, device=device),
-        last=16.0,
-        error=0.07,
-        statement="The integral of the interpolant is exact, but each border of a fog is known only to half a voxel: "
-        "transmittances have an error of at most exp(1 / mean free path) - 1, 7 % for a mean free path of 16 voxels.",
-    )
-
-
-def _depth(device: Any) -> Sweep:
-    return make_sweep(
-        name="integrate_emission_depth",
-        method="volume.integrate",
-        parameter="optical depth of a voxel",
-        unit="relative",
-        values=(1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0, 1e3, 1e4),
-        ask=partial(emissions, device=device),
-        last=1e4,
-        error=EMISSION_ERROR,
-        statement="Emission has a relative error of at most 1e-9 where a voxel's optical depth is 1e-3 to 1e4: no "
-        "failure found.",
-    )
-
-
+@SWEEPS.add(
+    name="raycast_volume_slope",
+    method="volume.raycast",
+    parameter="slope of the field, cut off at +-3 voxels",
+    unit="voxels",
+    values=(0.25, 0.5, 1.0, 1.7, 3.0, 6.0, 16.0),
+    last=1.7,
+    error=SURFACE,
+    statement="Rays hit at any slope: they find the interpolant's surface, which is that of the field up to a "
+    "slope of half_width / 1.75. Steeper fields are cut off within the cells that the surface crosses, and the "
+    "surface is up to half a voxel off.",
+)
 def steep_hits(slope: float, *, seed: int = 0, device: Any = None) -> Judgement:
     """Rays at a sphere whose distance field is multiplied, then cut off."""
     distance = ball(RADIUS)
     return _hits(lambda p: slope * distance(p), HALF_WIDTH, _aimed(seed), device)
 
 
+@SWEEPS.add(
+    name="raycast_volume_band",
+    method="volume.raycast",
+    parameter="half width of a distance field's band [voxels]",
+    unit="voxels",
+    values=(6.0, 3.0, 2.0, CELL, 1.25, 1.0, 0.5),
+    last=CELL,
+    error=SURFACE,
+    statement="A half width of 1.75 voxels is enough: the corners of the cells that the surface crosses are then "
+    "in the band. In narrower bands hits are up to half a voxel off.",
+)
 def banded_hits(half_width: float, *, seed: int = 0, device: Any = None) -> Judgement:
     """Rays at a sphere whose distance field is cut off at a half width."""
     return _hits(ball(RADIUS), half_width, _aimed(seed), device)
 
 
+@SWEEPS.add(
+    name="raycast_volume_exponent",
+    method="volume.raycast",
+    parameter="exponent of a field that is a power of the distance",
+    unit="voxels",
+    values=(1.0, 1.25, 1.5, 2.0, 3.0, 5.0, 9.0),
+    last=2.0,
+    error=0.25,
+    statement="Fields that are not distances lose no rays; only the interpolant's surface moves, by up to a "
+    "quarter voxel where a field is as flat as the squared distance, by half a voxel for high powers.",
+)
 def power_hits(exponent: float, *, seed: int = 0, device: Any = None) -> Judgement:
     """Rays at a sphere in a field that is a signed power of the distance."""
     distance = ball(RADIUS)
@@ -178,18 +88,52 @@ def power_hits(exponent: float, *, seed: int = 0, device: Any = None) -> Judgeme
     return _hits(power, HALF_WIDTH**exponent, _aimed(seed), device)
 
 
+@SWEEPS.add(
+    name="raycast_volume_grazing",
+    method="volume.raycast",
+    parameter="angle between ray and surface [degrees], radius 16 voxels",
+    unit="voxels",
+    values=(90.0, 60.0, 30.0, 10.0, 4.0, 2.0, 1.0, 0.3, 0.1),
+    last=4.0,
+    error=SURFACE,
+    statement="Rays at 4 degrees or more to a surface with a radius of 16 voxels hit it; in general, rays that "
+    "reach at least 0.375 voxel^2 over the radius below it do. The interpolant's surface lies at most that far "
+    "inside, and shallower rays may miss it.",
+)
 def grazing_hits(angle: float, *, seed: int = 0, device: Any = None) -> Judgement:
     """Rays that meet a sphere at a given angle."""
     beside = RADIUS * np.cos(np.radians(angle))
     return _hits(ball(RADIUS), HALF_WIDTH, _rays(np.full(RAYS, beside), seed), device)
 
 
+@SWEEPS.add(
+    name="raycast_volume_scale",
+    method="volume.raycast",
+    parameter="factor on a distance field and its background",
+    unit="voxels",
+    values=(1.0, 1e-10, 1e-20, 1e-30, 1e-37, 1e-43, 1e-44),
+    last=1e-37,
+    error=SURFACE,
+    statement="Surfaces are found at any scale that float32 represents, down to 1e-37 a voxel; below it, values "
+    "lose digits and then vanish.",
+)
 def scaled_hits(factor: float, *, seed: int = 0, device: Any = None) -> Judgement:
     """Rays at a sphere whose distance field and background are multiplied."""
     distance = ball(RADIUS)
     return _hits(lambda p: factor * distance(p), factor * HALF_WIDTH, _aimed(seed), device)
 
 
+@SWEEPS.add(
+    name="integrate_free_path",
+    method="volume.integrate",
+    parameter="mean free path [voxels] in fog that begins and ends within a voxel",
+    unit="relative",
+    values=(256.0, 64.0, 16.0, 4.0, 1.0, 0.25),
+    last=16.0,
+    error=0.07,
+    statement="The integral of the interpolant is exact, but each border of a fog is known only to half a voxel: "
+    "transmittances have an error of at most exp(1 / mean free path) - 1, 7 % for a mean free path of 16 voxels.",
+)
 def slab_transmittances(free_path: float, *, seed: int = 0, device: Any = None) -> Judgement:
     """Rays across slabs of uniform fog, straight and slanted; voxels with their center in the fog have its density."""
     from geokit.volume._integrate import integrate
@@ -212,6 +156,17 @@ def slab_transmittances(free_path: float, *, seed: int = 0, device: Any = None) 
     return Judgement(total, np.zeros(len(total), bool), np.concatenate(positions))
 
 
+@SWEEPS.add(
+    name="integrate_emission_depth",
+    method="volume.integrate",
+    parameter="optical depth of a voxel",
+    unit="relative",
+    values=(1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0, 1e3, 1e4),
+    last=1e4,
+    error=EMISSION_ERROR,
+    statement="Emission has a relative error of at most 1e-9 where a voxel's optical depth is 1e-3 to 1e4: no "
+    "failure found.",
+)
 def emissions(depth: float, *, seed: int = 0, device: Any = None) -> Judgement:
     """Rays that start inside uniform glowing fog; a ray that also ends there sees ``1 - exp(-length)``."""
     from geokit.volume._integrate import integrate

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.accuracy.stability.fields import MIDDLE, ball, field, level_set, unit_vectors
-from geokit.accuracy.trials.model import Judgement, Sweep, make_sweep
+from geokit.accuracy.trials.model import Judgement, Sweeps
 
 if TYPE_CHECKING:
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["sweeps"]
+__all__ = ["SWEEPS"]
 
+SWEEPS = Sweeps()
 Floats = NDArray[np.float64]
 
 # Number of waves at each wavelength, with different directions and phases.
@@ -94,102 +94,6 @@ CODECS = {
 }
 
 
-def sweeps(device: Any = None) -> list[Sweep]:
-    """Sweeps of ``volume.sample`` and ``volume.quantize``.
-
-    Args:
-        device: Where the methods compute; None for the first GPU, else the CPU.
-    """
-    return [
-        *(_wavelength(order, device) for order in WAVELENGTHS),
-        *(_band(order, device) for order in BANDS),
-        *(_origin(order, device) for order in (1, 3)),
-        *(_flatness(codec, device) for codec in CODECS),
-        _tolerance(device),
-    ]
-
-
-def _wavelength(order: int, device: Any) -> Sweep:
-    last, error, bound = WAVELENGTHS[order]
-    return make_sweep(
-        name=f"sample_order_{order}_wavelength",
-        method=f"volume.sample, order={order}",
-        parameter="wavelength [voxels]",
-        unit="amplitudes",
-        values=(128.0, 64.0, 48.0, 24.0, 12.0, 8.0, 4.0, 2.0),
-        ask=partial(waves, order=order, device=device),
-        last=last,
-        error=error,
-        statement=f"Order {order} is off by at most {error:.0%} of the amplitude of waves that are {last:g} voxels "
-        f"long or more ({bound}).",
-    )
-
-
-def _band(order: int, device: Any) -> Sweep:
-    last, error, statement = BANDS[order]
-    return make_sweep(
-        name=f"sample_order_{order}_band",
-        method=f"volume.sample, order={order}",
-        parameter="distance from the surface [voxels], band of half width 3",
-        unit="voxels",
-        values=(0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0),
-        ask=partial(band_distances, order=order, device=device),
-        last=last,
-        error=error,
-        statement=f"{statement} ({error:g} voxel on a sphere of {BAND_RADIUS:g} voxels). Beyond half_width the "
-        "value is half_width, at any distance from the surface.",
-        logarithmic=False,
-    )
-
-
-def _origin(order: int, device: Any) -> Sweep:
-    return make_sweep(
-        name=f"sample_order_{order}_origin",
-        method=f"volume.sample, order={order}",
-        parameter="distance of the grid from the origin [voxels]",
-        unit="voxels",
-        values=(1.0, 1e3, 1e6, 1e9, 1e12, 1e15),
-        ask=partial(far_values, order=order, device=device),
-        last=1e9,
-        error=2e-6,
-        statement="Up to 1e9 voxels from the origin a value is that of a point at most 2e-6 voxel away: the error is "
-        "that of float64 coordinates, a few times 2^-53 of the distance.",
-    )
-
-
-def _flatness(codec: str, device: Any) -> Sweep:
-    values, last, bits = CODECS[codec]
-    own = HALF_WIDTH / (2**bits - 1)
-    return make_sweep(
-        name=f"quantize_{codec}_curvature",
-        method=f"volume.quantize, {codec}",
-        parameter="radius of curvature [voxels], band of half width 3",
-        unit="voxels",
-        values=values,
-        ask=partial(quantized_distances, codec=codec, device=device),
-        last=last,
-        error=lambda radius: WITH_CODEC * INTERPOLATION / radius,
-        statement=f"{codec} is off by at most half_width / {2**bits - 1}, {own:.2g} voxel of a band of half width "
-        f"3, at any curvature. Up to a radius of {last:g} voxels, sampling at order 1 then has at most three "
-        "times its error without quantization, 0.25 / radius.",
-    )
-
-
-def _tolerance(device: Any) -> Sweep:
-    return make_sweep(
-        name="quantize_fpn_tolerance",
-        method="volume.quantize, fpn",
-        parameter="tolerance [voxels], band of half width 3",
-        unit="tolerances",
-        values=(0.3, 0.1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6),
-        ask=partial(kept_tolerances, device=device),
-        last=1e-4,
-        error=1.0,
-        statement="A tolerance is met or refused: in a band of half width 3, fpn meets 1e-4 voxel and more, and "
-        "refuses tolerances below half_width / 65535, which 16 bits a voxel cannot meet.",
-    )
-
-
 def waves(wavelength: float, *, order: int, seed: int = 0, device: Any = None) -> Judgement:
     """Plane waves of amplitude 1 at random points; the first along an axis, the second along a diagonal."""
     number = 2.0 * np.pi / wavelength
@@ -209,12 +113,43 @@ def waves(wavelength: float, *, order: int, seed: int = 0, device: Any = None) -
     return _right(np.concatenate(errors), np.concatenate(positions))
 
 
+for order, (last, error, bound) in WAVELENGTHS.items():
+    SWEEPS.add(
+        name=f"sample_order_{order}_wavelength",
+        method=f"volume.sample, order={order}",
+        parameter="wavelength [voxels]",
+        unit="amplitudes",
+        values=(128.0, 64.0, 48.0, 24.0, 12.0, 8.0, 4.0, 2.0),
+        last=last,
+        error=error,
+        statement=f"Order {order} is off by at most {error:.0%} of the amplitude of waves that are {last:g} voxels "
+        f"long or more ({bound}).",
+        case={"order": order},
+    )(waves)
+
+
 def band_distances(distance: float, *, order: int, seed: int = 0, device: Any = None) -> Judgement:
     """Points at a distance from a sphere, inside and outside."""
     band = level_set(ball(BAND_RADIUS), BAND_RADIUS, HALF_WIDTH)
     signed = np.where(np.arange(4000) % 2, distance, -distance)
     points = MIDDLE + unit_vectors(4000, seed) * (BAND_RADIUS + signed)[:, None]
     return _right(np.abs(band.sample(points, order=order, device=device) - signed), points)
+
+
+for order, (last, error, statement) in BANDS.items():
+    SWEEPS.add(
+        name=f"sample_order_{order}_band",
+        method=f"volume.sample, order={order}",
+        parameter="distance from the surface [voxels], band of half width 3",
+        unit="voxels",
+        values=(0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0),
+        last=last,
+        error=error,
+        statement=f"{statement} ({error:g} voxel on a sphere of {BAND_RADIUS:g} voxels). Beyond half_width the "
+        "value is half_width, at any distance from the surface.",
+        logarithmic=False,
+        case={"order": order},
+    )(band_distances)
 
 
 def far_values(distance: float, *, order: int, seed: int = 0, device: Any = None) -> Judgement:
@@ -228,6 +163,21 @@ def far_values(distance: float, *, order: int, seed: int = 0, device: Any = None
     points = local * FAR_VOXEL + translation
     found = grid.sample(points, order=order, device=device)
     return _right(np.abs(found - local @ SLOPE) / np.linalg.norm(SLOPE), points)
+
+
+for order in (1, 3):
+    SWEEPS.add(
+        name=f"sample_order_{order}_origin",
+        method=f"volume.sample, order={order}",
+        parameter="distance of the grid from the origin [voxels]",
+        unit="voxels",
+        values=(1.0, 1e3, 1e6, 1e9, 1e12, 1e15),
+        last=1e9,
+        error=2e-6,
+        statement="Up to 1e9 voxels from the origin a value is that of a point at most 2e-6 voxel away: the error is "
+        "that of float64 coordinates, a few times 2^-53 of the distance.",
+        case={"order": order},
+    )(far_values)
 
 
 def quantized_distances(radius: float, *, codec: str, seed: int = 0, device: Any = None) -> Judgement:
@@ -246,6 +196,33 @@ def quantized_distances(radius: float, *, codec: str, seed: int = 0, device: Any
     return _right(np.abs(small.sample(points, device=device) - height), points)
 
 
+for codec, (values, last, bits) in CODECS.items():
+    SWEEPS.add(
+        name=f"quantize_{codec}_curvature",
+        method=f"volume.quantize, {codec}",
+        parameter="radius of curvature [voxels], band of half width 3",
+        unit="voxels",
+        values=values,
+        last=last,
+        error=lambda radius: WITH_CODEC * INTERPOLATION / radius,
+        statement=f"{codec} is off by at most half_width / {2**bits - 1}, {HALF_WIDTH / (2**bits - 1):.2g} voxel of a "
+        f"band of half width 3, at any curvature. Up to a radius of {last:g} voxels, sampling at order 1 then has at "
+        "most three times its error without quantization, 0.25 / radius.",
+        case={"codec": codec},
+    )(quantized_distances)
+
+
+@SWEEPS.add(
+    name="quantize_fpn_tolerance",
+    method="volume.quantize, fpn",
+    parameter="tolerance [voxels], band of half width 3",
+    unit="tolerances",
+    values=(0.3, 0.1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6),
+    last=1e-4,
+    error=1.0,
+    statement="A tolerance is met or refused: in a band of half width 3, fpn meets 1e-4 voxel and more, and "
+    "refuses tolerances below half_width / 65535, which 16 bits a voxel cannot meet.",
+)
 def kept_tolerances(tolerance: float, *, seed: int = 0, device: Any = None) -> Judgement:
     """Voxels of a band that was stored with a tolerance; errors are their changes in tolerances."""
     from geokit.volume.retyped.quantize import quantize

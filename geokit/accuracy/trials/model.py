@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
     from geokit.mesh.model.triangle_mesh import TriangleMesh
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["Chart", "Envelope", "Judgement", "Measurement", "Subject", "Sweep", "Trial", "make_sweep"]
+__all__ = ["Chart", "Envelope", "Judgement", "Measurement", "Subject", "Sweep", "Sweeps", "Trial"]
 
 
 class Subject(NamedTuple):
@@ -172,20 +173,44 @@ class Sweep:
     logarithmic: bool = True
 
 
-def make_sweep(
-    name: str,
-    method: str,
-    parameter: str,
-    unit: str,
-    values: tuple[float, ...],
-    ask: Callable[[float], Judgement],
-    *,
-    last: float,
-    error: float | Callable[[float], float],
-    statement: str,
-    wrong_share: float = 0.0,
-    logarithmic: bool = True,
-) -> Sweep:
-    """A sweep with its envelope; most promise that no answer is wrong."""
-    envelope = Envelope(last, error, wrong_share, statement)
-    return Sweep(name, method, parameter, unit, values, ask, envelope, logarithmic)
+class Sweeps:
+    """The sweeps of a module, in the order in which they are added."""
+
+    def __init__(self) -> None:
+        self._makers: list[Callable[[Any], Sweep]] = []
+
+    def on(self, device: Any) -> list[Sweep]:
+        """The sweeps, with methods that compute on a device; None for the first GPU, else the CPU."""
+        return [make(device) for make in self._makers]
+
+    def add(
+        self,
+        name: str,
+        method: str,
+        parameter: str,
+        unit: str,
+        values: tuple[float, ...],
+        *,
+        last: float | Callable[[Any], float],
+        error: float | Callable[[float], float],
+        statement: str,
+        wrong_share: float = 0.0,
+        logarithmic: bool = True,
+        case: Mapping[str, Any] = MappingProxyType({}),
+    ) -> Callable[[Callable[..., Judgement]], Callable[..., Judgement]]:
+        """Decorator of the function that asks at a value, with keywords ``seed``, ``device`` and those of ``case``.
+
+        The arguments are those of :class:`Sweep` and :class:`Envelope`; ``last`` may depend on the device. Most
+        envelopes promise that no answer is wrong.
+        """
+
+        def note(ask: Callable[..., Judgement]) -> Callable[..., Judgement]:
+            def make(device: Any) -> Sweep:
+                envelope = Envelope(last(device) if callable(last) else last, error, wrong_share, statement)
+                asked = partial(ask, device=device, **case)
+                return Sweep(name, method, parameter, unit, values, asked, envelope, logarithmic)
+
+            self._makers.append(make)
+            return ask
+
+        return note
