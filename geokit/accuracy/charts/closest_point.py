@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from functools import cache
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -52,17 +52,18 @@ def _trials(setup: MeshSetup, queries: Queries) -> Iterator[Trial]:
 
     surface, points = setup.surface, send(queries.points, setup.device)
     size = held_bytes(surface)
-    judge = _judge(setup, queries)
+    known = cache(partial(reference.closest_point, setup.mesh.vertices, setup.mesh.faces, queries.checked))
 
     def trial(method: str, run: Callable[[], Any], byte_count: int, reach: float, **parameters: Any) -> Trial:
         parameters["max_distance"] = reach
-        return Trial(method, setting_of(parameters), run, judge(reach), setup.count, byte_count, parameters)
+        judge = partial(_judge, setup, queries, known, reach)
+        return Trial(method, setting_of(parameters), run, judge, setup.count, byte_count, parameters)
 
     for reach in (np.inf, *map(setup.shared, RADII)):
-        ask = _asking(surface, points, reach)
+        ask = partial(surface.closest_point, points, max_distance=reach)
         yield trial("closest_point, float64", ask, size, reach)
     single = wp.array(queries.points.astype(np.float32), dtype=wp.vec3f, device=setup.device)
-    yield trial("closest_point, float32", _asking(surface, single, np.inf), size, np.inf)
+    yield trial("closest_point, float32", partial(surface.closest_point, single), size, np.inf)
 
     def made_and_asked() -> Any:
         return Surface(setup.mesh, device=setup.device).closest_point(points)
@@ -72,27 +73,15 @@ def _trials(setup: MeshSetup, queries: Queries) -> Iterator[Trial]:
     yield trial("warp.mesh_query_point, float32", lambda: raw_closest_point(surface, points), size, np.inf)
 
 
-def _asking(surface: Any, points: Any, reach: float) -> Callable[[], Any]:
-    return lambda: surface.closest_point(points, max_distance=reach)
-
-
-def _judge(setup: MeshSetup, queries: Queries) -> Callable[[float], Callable[[Any], Judgement]]:
-    @cache
-    def known() -> reference.ClosestReference:
-        return reference.closest_point(setup.mesh.vertices, setup.mesh.faces, queries.checked)
-
-    def within(reach: float) -> Callable[[Any], Judgement]:
-        def judge(answer: Any) -> Judgement:
-            wanted = known().distance
-            hit = on_host(answer.triangle_id)[queries.rows] >= 0
-            wrong = (hit != (wanted <= reach)) & ~(np.abs(wanted - reach) <= BORDER * setup.size)
-            both = hit & (wanted <= reach)
-            distance = np.where(both, on_host(answer.distance)[queries.rows], wanted)
-            apart = np.linalg.norm(on_host(answer.points)[queries.rows] - queries.checked, axis=1)
-            apart = np.where(both, apart, wanted)
-            errors = np.maximum(np.abs(distance - wanted), np.abs(apart - wanted))
-            return judged(errors, queries.checked, wrong)
-
-        return judge
-
-    return within
+def _judge(
+    setup: MeshSetup, queries: Queries, known: Callable[[], reference.ClosestReference], reach: float, answer: Any
+) -> Judgement:
+    wanted = known().distance
+    hit = on_host(answer.triangle_id)[queries.rows] >= 0
+    wrong = (hit != (wanted <= reach)) & ~(np.abs(wanted - reach) <= BORDER * setup.size)
+    both = hit & (wanted <= reach)
+    distance = np.where(both, on_host(answer.distance)[queries.rows], wanted)
+    apart = np.linalg.norm(on_host(answer.points)[queries.rows] - queries.checked, axis=1)
+    apart = np.where(both, apart, wanted)
+    errors = np.maximum(np.abs(distance - wanted), np.abs(apart - wanted))
+    return judged(errors, queries.checked, wrong)

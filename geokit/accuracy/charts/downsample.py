@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -41,13 +41,12 @@ def _trials(setup: PointsSetup) -> Iterator[Trial]:
             size: dict[str, Any] = {name: value}
             run = partial(downsample, points, device=setup.device, **size)
             chosen = {name: value, "kept": kept if name != "voxel_size" else len(run().indices)}
-            yield Trial(f"downsample, {name}", setting_of(chosen), run, _judge(setup), len(setup.thinned), 0, chosen)
+            yield Trial(
+                f"downsample, {name}", setting_of(chosen), run, partial(_judge, setup), len(setup.thinned), 0, chosen
+            )
 
 
-def _judge(setup: PointsSetup) -> Callable[[Any], Judgement]:
-    def judge(answer: Any) -> Judgement:
-        kept = on_host(answer.points)
-        at = setup.thinned[setup.choose(len(setup.thinned), len(kept))]
-        return judged(reference.k_nearest(kept, 1, at)[0][:, 0], at)
-
-    return judge
+def _judge(setup: PointsSetup, answer: Any) -> Judgement:
+    kept = on_host(answer.points)
+    at = setup.thinned[setup.choose(len(setup.thinned), len(kept))]
+    return judged(reference.k_nearest(kept, 1, at)[0][:, 0], at)

@@ -72,7 +72,7 @@ def first_hit_charts(setup: MeshSetup) -> list[Chart]:
 
 def _trials(setup: MeshSetup) -> Iterator[Trial]:
     rays = _aimed(setup, _in_box(setup), setup.rows())
-    judge = _judge(setup, rays, lambda: _first(setup, rays))
+    judge = partial(_judge, setup, rays, cache(partial(_first, setup, rays)))
     yield from _of_mesh(setup, rays, judge)
     yield from _of_volumes(setup, rays, judge)
 
@@ -83,7 +83,7 @@ def _leaks(setup: MeshSetup) -> Iterator[Trial]:
     known = _undoubted(setup, rays, (middles - targets)[rays.rows])
     # On a mesh that consists only of silhouettes no ray remains.
     if known.counts.any():
-        yield from _of_mesh(setup, rays, _judge(setup, rays, lambda: known))
+        yield from _of_mesh(setup, rays, partial(_judge, setup, rays, lambda: known))
 
 
 def _of_mesh(setup: MeshSetup, rays: Rays, judge: Callable[[Any], Judgement]) -> Iterator[Trial]:
@@ -91,13 +91,11 @@ def _of_mesh(setup: MeshSetup, rays: Rays, judge: Callable[[Any], Judgement]) ->
 
     surface, size = setup.surface, held_bytes(setup.surface)
     origins, directions = send(rays.origins, setup.device), send(rays.directions, setup.device)
-    run = _casting(surface, origins, directions)
+    run = partial(surface.raycast, origins, directions)
     yield Trial("raycast", "as it is", run, judge, setup.count, size)
     size = warp_tree_bytes(setup)
 
-    def run_raw() -> Any:
-        return raw_raycast(surface, origins, directions)
-
+    run_raw = partial(raw_raycast, surface, origins, directions)
     yield Trial("warp.mesh_query_ray, float32", "as it is", run_raw, judge, setup.count, size)
 
 
@@ -112,12 +110,8 @@ def _of_volumes(setup: MeshSetup, rays: Rays, judge: Callable[[Any], Judgement])
         except GeokitError as error:
             yield failed("volume.raycast", chosen, error)
             continue
-        run = _casting(volume, origins, directions, device=setup.device)
+        run = partial(volume.raycast, origins, directions, device=setup.device)
         yield Trial("volume.raycast", setting_of(chosen), run, judge, setup.count, volume.info.byte_count, chosen)
-
-
-def _casting(target: Any, origins: Any, directions: Any, **options: Any) -> Callable[[], Any]:
-    return lambda: target.raycast(origins, directions, **options)
 
 
 def _aimed(setup: MeshSetup, targets: Floats, rows: NDArray[np.int64]) -> Rays:
@@ -176,16 +170,11 @@ def _apart(a: Floats, b: Floats) -> Floats:
     return np.abs(np.where(missed, 0.0, a) - np.where(missed, 0.0, b))
 
 
-def _judge(setup: MeshSetup, rays: Rays, ask: Callable[[], Known]) -> Callable[[Any], Judgement]:
-    known = cache(ask)
-
-    def judge(answer: Any) -> Judgement:
-        wanted, counts = known()
-        errors = _apart(on_host(answer.t)[rays.rows], wanted)
-        wrong = ~(errors <= ELSEWHERE * setup.size)
-        # Wrong answers are drawn where the ray should have hit, or at its start if it should have missed.
-        reach = np.where(np.isinf(wanted), 0.0, wanted)[:, None]
-        positions = rays.origins[rays.rows] + reach * rays.directions[rays.rows]
-        return judged(errors[counts], positions[counts], wrong[counts])
-
-    return judge
+def _judge(setup: MeshSetup, rays: Rays, known: Callable[[], Known], answer: Any) -> Judgement:
+    wanted, counts = known()
+    errors = _apart(on_host(answer.t)[rays.rows], wanted)
+    wrong = ~(errors <= ELSEWHERE * setup.size)
+    # Wrong answers are drawn where the ray should have hit, or at its start if it should have missed.
+    reach = np.where(np.isinf(wanted), 0.0, wanted)[:, None]
+    positions = rays.origins[rays.rows] + reach * rays.directions[rays.rows]
+    return judged(errors[counts], positions[counts], wrong[counts])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -41,7 +41,11 @@ def _trials(setup: MeshSetup) -> Iterator[Trial]:
     samples, face = area_samples(mesh, setup.count, np.random.default_rng(SEED + 6))
     points = send(samples, setup.device)
     rows = np.arange(min(MOST, setup.count))
-    judge = _judge(samples[rows], reference.face_normals(mesh.vertices, mesh.faces[face[rows]]), rows)
+    normals = reference.face_normals(mesh.vertices, mesh.faces[face[rows]])
+
+    def judge(answer: Any) -> Judgement:
+        return judged(angles(on_host(answer)[rows], normals), samples[rows])
+
     for parts in QUICK_DIVISIONS if setup.quick else DIVISIONS:
         voxel_size = setup.shared(1.0 / parts)
         try:
@@ -51,17 +55,6 @@ def _trials(setup: MeshSetup) -> Iterator[Trial]:
             continue
         for order in ORDERS:
             chosen = {"voxel_size": voxel_size, "order": order}
-            run = _asking(volume, points, order, setup.device)
+            run = partial(volume.gradient, points, order=order, device=setup.device)
             size = volume.info.byte_count
             yield Trial(f"gradient, order {order}", setting_of(chosen), run, judge, setup.count, size, chosen)
-
-
-def _asking(volume: Any, points: Any, order: int, device: Any) -> Callable[[], Any]:
-    return lambda: volume.gradient(points, order=order, device=device)
-
-
-def _judge(positions: Any, normals: Any, rows: Any) -> Callable[[Any], Judgement]:
-    def judge(answer: Any) -> Judgement:
-        return judged(angles(on_host(answer)[rows], normals), positions)
-
-    return judge

@@ -16,7 +16,6 @@ from geokit.accuracy.trials.running import judged, on_host, send, setting_of
 
 if TYPE_CHECKING:
     from geokit.accuracy.charts.points_setup import PointsSetup
-    from geokit.points.neighbors.neighbor_grid import NeighborGrid
 
 __all__ = ["nearest_chart", "neighbors_chart"]
 
@@ -55,7 +54,7 @@ def _radius_trials(setup: PointsSetup) -> Iterator[Trial]:
     queries, radius = send(setup.queries, setup.device), setup.radius
     single = wp.array(setup.queries.astype(np.float32), dtype=wp.vec3f, device=setup.device)
     known = cache(partial(_within, setup))
-    judge, judge_counts = _judge_lists(setup, known), _judge_counts(setup, known)
+    judge, judge_counts = partial(_judge_lists, setup, known), partial(_judge_counts, setup, known)
 
     def trial(method: str, run: Callable[[], Any], judge: Any, size: int, **chosen: Any) -> Trial:
         return Trial(method, setting_of(chosen), run, judge, setup.count, size, chosen)
@@ -63,14 +62,15 @@ def _radius_trials(setup: PointsSetup) -> Iterator[Trial]:
     for ratio in QUICK_CELLS if setup.quick else CELLS:
         grid = NeighborGrid(setup.points, ratio * radius, device=setup.device)
         size, cells = held_bytes(grid), {"radius": radius, "cell_size": ratio * radius}
-        yield trial("count, float64", _counting(grid, queries, radius), judge_counts, size, **cells)
+        yield trial("count, float64", partial(grid.count, queries, radius=radius), judge_counts, size, **cells)
         for order in ORDERS if ratio == 1.0 else ORDERS[:1]:
-            run = _searching(grid, queries, radius, order)
+            run = partial(grid.radius_search, queries, radius=radius, order=order)
             yield trial("radius_search, float64", run, judge, size, **cells, order=order)
     grid = NeighborGrid(setup.points, radius, device=setup.device)
     cells = {"radius": radius, "cell_size": radius}
-    yield trial("count, float32", _counting(grid, single, radius), judge_counts, held_bytes(grid), **cells)
-    run = _searching(grid, single, radius, "any")
+    run = partial(grid.count, single, radius=radius)
+    yield trial("count, float32", run, judge_counts, held_bytes(grid), **cells)
+    run = partial(grid.radius_search, single, radius=radius, order="any")
     yield trial("radius_search, float32", run, judge, held_bytes(grid), **cells, order="any")
 
     def made_and_asked() -> Any:
@@ -97,7 +97,7 @@ def _nearest_trials(setup: PointsSetup) -> Iterator[Trial]:
     def trial(method: str, run: Callable[[], Any], k: int, **more: Any) -> Trial:
         chosen = {"k": k, **more}
         reach = more.get("radius", np.inf)
-        judge = _judge_nearest(setup, known, k, reach)
+        judge = partial(_judge_nearest, setup, known, k, reach)
         return Trial(method, setting_of(chosen), run, judge, setup.count, held_bytes(grid), chosen)
 
     for k in NEAREST:
@@ -112,14 +112,6 @@ def _nearest_trials(setup: PointsSetup) -> Iterator[Trial]:
     yield trial("NeighborGrid made and asked for knn", made_and_asked, k)
 
 
-def _counting(grid: NeighborGrid, queries: Any, radius: float) -> Callable[[], Any]:
-    return lambda: grid.count(queries, radius=radius)
-
-
-def _searching(grid: NeighborGrid, queries: Any, radius: float, order: str) -> Callable[[], Any]:
-    return lambda: grid.radius_search(queries, radius=radius, order=order)
-
-
 def _within(setup: PointsSetup) -> list[tuple[NDArray[np.int64], NDArray[np.float64]]]:
     """Neighbors of the checked queries by ascending index, and their distances."""
     found = reference.neighbors_within(setup.points, setup.checked, setup.radius)
@@ -127,38 +119,29 @@ def _within(setup: PointsSetup) -> list[tuple[NDArray[np.int64], NDArray[np.floa
     return [(near, np.linalg.norm(setup.points[near] - at[i], axis=1)) for i, near in enumerate(found)]
 
 
-def _judge_counts(setup: PointsSetup, known: Callable[[], Any]) -> Callable[[Any], Judgement]:
-    def judge(answer: Any) -> Judgement:
-        wrong = on_host(answer)[setup.rows] != [len(near) for near, _ in known()]
-        return judged(np.zeros(len(wrong)), setup.checked, wrong)
-
-    return judge
+def _judge_counts(setup: PointsSetup, known: Callable[[], Any], answer: Any) -> Judgement:
+    wrong = on_host(answer)[setup.rows] != [len(near) for near, _ in known()]
+    return judged(np.zeros(len(wrong)), setup.checked, wrong)
 
 
-def _judge_lists(setup: PointsSetup, known: Callable[[], Any]) -> Callable[[Any], Judgement]:
-    def judge(answer: Any) -> Judgement:
-        offsets, indices, distance = (part.numpy() for part in answer)
-        errors, wrong = np.zeros(len(setup.rows)), np.zeros(len(setup.rows), bool)
-        for i, (row, (near, apart)) in enumerate(zip(setup.rows, known(), strict=True)):
-            found = slice(offsets[row], offsets[row + 1])
-            order = np.argsort(indices[found])
-            wrong[i] = not np.array_equal(indices[found][order], near)
-            if not wrong[i] and len(near):
-                errors[i] = np.abs(distance[found][order].astype(np.float64) - apart).max()
-        return judged(errors, setup.checked, wrong)
-
-    return judge
+def _judge_lists(setup: PointsSetup, known: Callable[[], Any], answer: Any) -> Judgement:
+    offsets, indices, distance = (part.numpy() for part in answer)
+    errors, wrong = np.zeros(len(setup.rows)), np.zeros(len(setup.rows), bool)
+    for i, (row, (near, apart)) in enumerate(zip(setup.rows, known(), strict=True)):
+        found = slice(offsets[row], offsets[row + 1])
+        order = np.argsort(indices[found])
+        wrong[i] = not np.array_equal(indices[found][order], near)
+        if not wrong[i] and len(near):
+            errors[i] = np.abs(distance[found][order].astype(np.float64) - apart).max()
+    return judged(errors, setup.checked, wrong)
 
 
-def _judge_nearest(setup: PointsSetup, known: Callable[[], Any], k: int, reach: float) -> Callable[[Any], Judgement]:
-    def judge(answer: Any) -> Judgement:
-        apart, near = (part[:, :k] for part in known())
-        beyond = apart > reach
-        apart, near = np.where(beyond, np.inf, apart), np.where(beyond, -1, near)
-        distance, indices = on_host(answer.distance)[setup.rows], on_host(answer.indices)[setup.rows]
-        wrong = (indices != near).any(axis=1)
-        same = np.isinf(apart) & np.isinf(distance)
-        errors = np.abs(np.where(same, 0.0, distance) - np.where(same, 0.0, apart)).max(axis=1)
-        return judged(errors, setup.checked, wrong)
-
-    return judge
+def _judge_nearest(setup: PointsSetup, known: Callable[[], Any], k: int, reach: float, answer: Any) -> Judgement:
+    apart, near = (part[:, :k] for part in known())
+    beyond = apart > reach
+    apart, near = np.where(beyond, np.inf, apart), np.where(beyond, -1, near)
+    distance, indices = on_host(answer.distance)[setup.rows], on_host(answer.indices)[setup.rows]
+    wrong = (indices != near).any(axis=1)
+    same = np.isinf(apart) & np.isinf(distance)
+    errors = np.abs(np.where(same, 0.0, distance) - np.where(same, 0.0, apart)).max(axis=1)
+    return judged(errors, setup.checked, wrong)

@@ -98,12 +98,8 @@ def _trials(setup: MeshSetup, surface: Surface, judge: Callable[[Any], Judgement
     points = send(setup.mixed().points, setup.device)
     for method in METHODS:
         chosen = {"sign": method}
-        run = _asking(surface, points, method)
+        run = partial(surface.contains, points, sign=method)
         yield Trial(f"contains, {method}", setting_of(chosen), run, judge, setup.count, held_bytes(surface), chosen)
-
-
-def _asking(surface: Surface, points: Any, method: str) -> Callable[[], Any]:
-    return lambda: surface.contains(points, sign=method)
 
 
 def _judge(setup: MeshSetup) -> Callable[[Any], Judgement]:
