@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geokit.accuracy.trials.model import Subject
 from geokit.core.memory.needs import needs
@@ -87,19 +86,9 @@ def _loaded_volumes() -> list[Subject]:
 
 
 def _torus_mesh() -> Subject:
-    from geokit.mesh import TriangleMesh
+    from geokit.accuracy.stability.shapes import torus
 
-    around, across = SEGMENTS
-    u, v = np.meshgrid(np.arange(around), np.arange(across), indexing="ij")
-    vertices = _on_torus(2.0 * np.pi * u.ravel() / around, 2.0 * np.pi * v.ravel() / across)
-    corners = [(u + i) % around * across + (v + j) % across for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))]
-    faces = [np.stack([corners[k] for k in triple], axis=-1).reshape(-1, 3) for triple in ((0, 1, 2), (0, 2, 3))]
-    return Subject("torus", mesh=TriangleMesh(vertices, np.concatenate(faces), name="torus"))
-
-
-def _on_torus(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
-    radius = RADII[0] + RADII[1] * np.cos(v)
-    return np.stack([radius * np.cos(u), radius * np.sin(u), RADII[1] * np.sin(v)], axis=-1)
+    return Subject("torus", mesh=torus(*SEGMENTS, *RADII))
 
 
 def _torus_volume() -> Subject:
@@ -111,9 +100,11 @@ def _torus_volume() -> Subject:
 
 
 def _torus_cloud() -> Subject:
+    from geokit.accuracy.stability.shapes import on_torus
+
     random = np.random.default_rng(6)
     # Uniform by area: the outer side of the ring has more of it than the inner side.
     v = random.uniform(0.0, 2.0 * np.pi, 4 * CLOUD_COUNT)
     chosen = random.random(len(v)) * (RADII[0] + RADII[1]) < RADII[0] + RADII[1] * np.cos(v)
     v = v[chosen][:CLOUD_COUNT]
-    return Subject("torus cloud", points=_on_torus(random.uniform(0.0, 2.0 * np.pi, len(v)), v))
+    return Subject("torus cloud", points=on_torus(random.uniform(0.0, 2.0 * np.pi, len(v)), v, *RADII))

@@ -15,6 +15,7 @@ __all__ = [
     "icosphere",
     "join",
     "moved",
+    "on_torus",
     "rotated",
     "rotation",
     "scaled",
@@ -79,13 +80,17 @@ def _halved_edges(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> tu
 def torus(around: int = 48, across: int = 24, major: float = 1.0, minor: float = 0.35) -> TriangleMesh:
     """A closed torus about the z axis of ``2 * around * across`` triangles, with vertices on the torus [world]."""
     i, j = (grid.ravel() for grid in np.meshgrid(np.arange(around), np.arange(across), indexing="ij"))
-    a, b = 2.0 * np.pi * i / around, 2.0 * np.pi * j / across
-    distance = major + minor * np.cos(b)
-    vertices = np.stack([distance * np.cos(a), distance * np.sin(a), minor * np.sin(b)], axis=1)
+    vertices = on_torus(2.0 * np.pi * i / around, 2.0 * np.pi * j / across, major, minor)
     further, beside = (i + 1) % around * across, (j + 1) % across
     corner, ahead, across_both, side = i * across + j, further + j, further + beside, i * across + beside
     faces = np.concatenate([np.stack([corner, ahead, across_both], axis=1), np.stack([corner, across_both, side], 1)])
     return TriangleMesh(vertices, faces, name="torus")
+
+
+def on_torus(a: NDArray[np.float64], b: NDArray[np.float64], major: float, minor: float) -> NDArray[np.float64]:
+    """Points (N, 3) of a torus at angles about the z axis and around its tube [world]."""
+    distance = major + minor * np.cos(b)
+    return np.stack([distance * np.cos(a), distance * np.sin(a), minor * np.sin(b)], axis=1)
 
 
 def sliver_fan(count: int, aspect: float, slant: float = 0.0) -> TriangleMesh:

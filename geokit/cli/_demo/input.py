@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit._packages import remedy
+from geokit.accuracy.stability.shapes import torus
 from geokit.errors import MissingDependencyError
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 
@@ -54,20 +55,9 @@ def load_mesh(path: Path | None) -> tuple[TriangleMesh, str]:
 
 
 def _torus() -> TriangleMesh:
-    around, across = TORUS_SEGMENTS
-    u, v = np.meshgrid(np.arange(around), np.arange(across), indexing="ij")
-    angle_u, angle_v = 2.0 * np.pi * u / around, 2.0 * np.pi * v / across
-    radius = 1.0 + 0.4 * np.cos(angle_v)
-    vertices = np.stack([radius * np.cos(angle_u), 0.4 * np.sin(angle_v), -radius * np.sin(angle_u)], axis=-1)
-
-    def index(i: NDArray[np.int64], j: NDArray[np.int64]) -> NDArray[np.int64]:
-        return (i % around) * across + j % across
-
-    corners = index(u, v), index(u + 1, v), index(u + 1, v + 1), index(u, v + 1)
-    faces = np.concatenate(
-        [np.stack([corners[k] for k in triple], axis=-1).reshape(-1, 3) for triple in ((0, 1, 2), (0, 2, 3))]
-    )
-    return TriangleMesh(vertices.reshape(-1, 3), faces, name="torus")
+    mesh = torus(*TORUS_SEGMENTS, minor=0.4)
+    x, y, z = mesh.vertices.T
+    return TriangleMesh(np.stack([x, z, -y], axis=1), mesh.faces, name="torus")
 
 
 def points_on(
