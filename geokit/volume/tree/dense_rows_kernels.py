@@ -6,13 +6,13 @@ from typing import Any
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 from geokit.volume.nanovdb.read_voxel_kernels import grid_type_of, node_of, read_voxel
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 
-@wp.func_native(cpp("volume/tree/copy_float_run.inl"))
+@cpp.func_native("volume/tree/dense_rows.inl")
 def copy_float_run(
     volume: wp.uint64, node: wp.uint64, i: int, j: int, k: int, count: int, out_values: wp.array(dtype=wp.float32),
     to: wp.int64,
@@ -21,7 +21,7 @@ def copy_float_run(
     ...
 
 
-@wp.func_native(cpp("volume/tree/read_int64.inl"))
+@cpp.func_native("volume/tree/dense_rows.inl")
 def read_int64(volume: wp.uint64, node: wp.uint64, i: int, j: int, k: int) -> wp.int64:
     """The value of a voxel of an int64 grid, given the node from node_of."""
     ...

@@ -9,7 +9,7 @@ from typing import Any
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -20,29 +20,24 @@ INSIDE = 2
 BAD = 3
 
 
-def _native(file: str, number: str, row: str) -> str:
-    states = {"OUTSIDE": OUTSIDE, "LEAF": LEAF, "INSIDE": INSIDE, "BAD": BAD}
-    return cpp(
-        "core/simd.inl", "volume/tree/dense_row.inl", file, defines={"TYPE": number, "ROW": row}, **states
-    )  # fmt: skip
+STATES = {"OUTSIDE": OUTSIDE, "LEAF": LEAF, "INSIDE": INSIDE, "BAD": BAD}
 
 
-_STATE, _FILL = "volume/tree/dense_tile_state.inl", "volume/tree/fill_dense_tile.inl"
+# Warp takes no Any where something is returned.
+for _dtype in (wp.float32, wp.float64):
 
-
-for _number, _row, _dtype in (("float", "v8", wp.float32), ("double", "d8", wp.float64)):
-
-    @wp.func_native(_native(_STATE, _number, _row))
+    @cpp.func_native("volume/tree/dense_tiles_cpu.inl", **STATES)
     def tile_state(
         dense: wp.array3d(dtype=_dtype), x: int, y: int, z: int, background: wp.float32, tolerance: wp.float64,
         level_set: int,
     ) -> int: ...  # fmt: skip
 
-    @wp.func_native(_native(_FILL, _number, _row))
-    def fill_tile(
-        dense: wp.array3d(dtype=_dtype), x: int, y: int, z: int, background: wp.float32, tolerance: wp.float64,
-        level_set: int, row: int, out_values: wp.array2d(dtype=wp.float32), out_masks: wp.array2d(dtype=wp.uint8),
-    ): ...  # fmt: skip
+
+@cpp.func_native("volume/tree/dense_tiles_cpu.inl", **STATES)
+def fill_tile(
+    dense: wp.array3d(dtype=Any), x: int, y: int, z: int, background: wp.float32, tolerance: wp.float64,
+    level_set: int, row: int, out_values: wp.array2d(dtype=wp.float32), out_masks: wp.array2d(dtype=wp.uint8),
+): ...  # fmt: skip
 
 
 @wp.kernel

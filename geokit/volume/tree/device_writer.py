@@ -292,22 +292,20 @@ def _statistics(
     """
     import warp as wp
 
-    from geokit.volume.tree import node_statistics_kernels as kernels
+    from geokit.volume.tree.node_statistics_kernels import KERNELS
 
-    device, is_float = buffer.device, head.layout.name == "float"
-    of_leaf = kernels.float_leaf_kernel if is_float else kernels.int_leaf_kernel
-    of_part = kernels.float_part_kernel if is_float else kernels.int_part_kernel
-    of_node = kernels.float_node_kernel if is_float else kernels.int_node_kernel
-
+    device = buffer.device
+    dtype = wp.float32 if head.layout.name == "float" else wp.int32
+    of_leaf, of_part, of_node = KERNELS[dtype]
     count = len(leaves.keys)
     # There are few lower nodes, with hundreds of children each.
     lower_parts = PARTS_CUDA if device.is_cuda else PARTS_CPU
     # Boxes and extrema of leaves, parts and lower nodes.
     items = (count, lower_parts * lower.count, lower.count)
-    shapes = [((n * k,), wp.int32) for k in items for n in (6, 2)]
+    shapes = [((n * k,), kind) for k in items for n, kind in ((6, wp.int32), (2, dtype))]
     active, *arrays = Scratch(device, ((count,), wp.int32), *shapes).arrays
     of_leaves, of_parts, of_lowers = arrays[:2], arrays[2:4], arrays[4:]
-    of_uppers = host_arrays(device, *(((n * upper.count,), np.int32) for n in (6, 2)))
+    of_uppers = host_arrays(device, ((6 * upper.count,), np.int32), ((2 * upper.count,), wp.dtype_to_numpy(dtype)))
     where = [leaves.tiles, leaves.rows]
     found: list[Any] = of_leaves
     begin = wp.int64(places.leaf_begin)

@@ -8,7 +8,7 @@ single writer, so no atomics are needed and every device writes the same bytes.
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
 
@@ -90,7 +90,7 @@ class LevelLayout:
     child_size: wp.int64  # bytes of a child
 
 
-@wp.func_native(cpp("volume/tree/link_word.inl"))
+@cpp.func_native("volume/tree/device_writer.inl")
 def link_word(
     item: int,
     level: LevelLayout,
@@ -121,17 +121,7 @@ def link_kernel(
     link_word(item, level, parent_keys, first_child, child_keys, state, outside, inside, out_buffer)
 
 
-# Copies a row of 64 values of 32 bits of any type, and their mask.
-_COPY = """
-    unsigned char* out = out_buffer.data + begin + 2144ll * leaf;
-    const unsigned* from = (const unsigned*)values.data + 512ll * order.data[leaf] + 64 * x;
-    unsigned* to = (unsigned*)(out + 96) + 64 * x;
-    for (int b = 0; b < 64; ++b) to[b] = from[b];
-    ((unsigned long long*)(out + 16))[x] = masks.data[8ll * order.data[leaf] + x];
-"""
-
-
-@wp.func_native(_COPY)
+@cpp.func_native("volume/tree/device_writer.inl")
 def copy_plane(
     leaf: int,
     x: int,

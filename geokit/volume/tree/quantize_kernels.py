@@ -7,12 +7,12 @@ Every float32 rounding matters here: product and sum are never fused, except whe
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
 
-@wp.func_native(cpp("volume/tree/quantize_leaf.inl") + "return worst;\n")
+@cpp.func_native("volume/tree/quantize.inl")
 def leaf_error(
     source: wp.array(dtype=wp.uint8), start: wp.int64, bits: int, rounding: wp.array(dtype=wp.float32)
 ) -> wp.float64:
@@ -20,7 +20,7 @@ def leaf_error(
     ...
 
 
-@wp.func_native(cpp("volume/tree/quantize_leaf.inl", "volume/tree/write_quantized_leaf.inl"))
+@cpp.func_native("volume/tree/quantize.inl")
 def write_leaf(
     source: wp.array(dtype=wp.uint8),
     start: wp.int64,
