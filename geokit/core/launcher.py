@@ -391,9 +391,9 @@ def _morton_order_cpu(points: "wp.array", frame: list[Any], device: "wp.Device")
     import numpy as np
 
     from geokit.core import morton_order_cpu_kernels as kernels
-    from geokit.core.counting_sort_cpu_kernels import sum_kernel
     from geokit.core.memory import host_pool
     from geokit.core.memory.host_array import HostArray
+    from geokit.core.sorting.counting_sort_cpu_kernels import sum_kernel
 
     count = len(points)
     rows = min(thread_count(), -(-count // ORDER_SHARE))

@@ -247,7 +247,7 @@ class _BetweenGroups(NamedTuple):
     far_b: Any
 
 
-@query(inputs=("a", "b"), gradient=".search.gradients:BETWEEN_GROUPS", name="a, b")
+@query(inputs=("a", "b"), gradient=".gradients.distances:BETWEEN_GROUPS", name="a, b")
 def _between_groups(a: Any, b: Any, offsets: Any, device: Any) -> _BetweenGroups:
     import warp as wp
 
@@ -321,7 +321,7 @@ class _Between(NamedTuple):
     index_a: Any
 
 
-@query(inputs=("a", "b"), gradient=".search.gradients:BETWEEN", name="a, b")
+@query(inputs=("a", "b"), gradient=".gradients.distances:BETWEEN", name="a, b")
 def _between(a: Any, b: Any, device: Any) -> _Between:
     target = launcher.resolve_device(device)
     batches = [read_vectors(points, name, target) for points, name in ((a, "a"), (b, "b"))]

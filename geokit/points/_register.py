@@ -296,7 +296,7 @@ def _in_order(points: "wp.array", center: NDArray[np.float64], radius: float) ->
     """The points along a space-filling curve: consecutive points have partners that are close in memory."""
     import warp as wp
 
-    from geokit.core.gather_kernels import GATHER
+    from geokit.core.sorting.gather_kernels import GATHER
 
     device: Any = points.device
     order = launcher.morton_order(points, center - radius, 2.0 * radius, device)

@@ -33,7 +33,7 @@ def farthest_points(points: "wp.array", count: int, start: int) -> tuple["wp.arr
     """
     import warp as wp
 
-    from geokit.core.gather_kernels import GATHER
+    from geokit.core.sorting.gather_kernels import GATHER
     from geokit.points.clouds import farthest_points_kernels as kernels
 
     device: Any = points.device

@@ -37,7 +37,7 @@ def poisson_disk_subset(points: "wp.array", radius: float, seed: int) -> tuple["
     """
     import warp as wp
 
-    from geokit.core.gather_kernels import GATHER
+    from geokit.core.sorting.gather_kernels import GATHER
     from geokit.points.clouds import poisson_disk_kernels as kernels
 
     device: Any = points.device

@@ -221,7 +221,7 @@ def _sorted_by(points: "wp.array", keys: Any, key_count: int) -> VoxelOrder:
     """Points sorted by ascending key, stable; the keys are in the first half of an array."""
     import warp as wp
 
-    from geokit.core.gather_kernels import GATHER
+    from geokit.core.sorting.gather_kernels import GATHER
     from geokit.points.clouds.voxel_centroids_kernels import begin_kernel
 
     device: Any = points.device

@@ -442,7 +442,7 @@ class NeighborGrid:
         asked, home = self._ask(queries, radius, exclude_self, groups)
         return home.to_caller(search.count(asked))
 
-    @query("queries", gradient="..search.gradients:WITHIN", least_rows=LEAST_QUERIES_ON_GPUS, memory=_list_bytes)
+    @query("queries", gradient="..gradients.distances:WITHIN", least_rows=LEAST_QUERIES_ON_GPUS, memory=_list_bytes)
     def radius_search(
         self,
         queries: Rows | None = None,
@@ -490,7 +490,7 @@ class NeighborGrid:
 
     @query(
         "queries",
-        gradient="..search.gradients:IMAGES",
+        gradient="..gradients.distances:IMAGES",
         least_rows=LEAST_QUERIES_ON_GPUS,
         memory=lambda self, queries=None, **given: 1.1 * _list_bytes(self, queries, **given),
     )
@@ -670,7 +670,7 @@ class NeighborGrid:
 
     @query(
         "queries",
-        gradient="..search.gradients:NEAREST",
+        gradient="..gradients.distances:NEAREST",
         is_replayed=True,
         least_rows=LEAST_QUERIES_ON_GPUS,
         memory=lambda self, queries=None, k=1, **_: (60 + 12 * k) * self._asked_rows(queries),
@@ -707,7 +707,7 @@ class NeighborGrid:
 
     @query(
         "queries",
-        gradient="..search.gradients:NEAREST",
+        gradient="..gradients.distances:NEAREST",
         is_replayed=True,
         least_rows=LEAST_QUERIES_ON_GPUS,
         memory=lambda self, queries=None, k=1, **_: (60 + 12 * k) * self._asked_rows(queries),

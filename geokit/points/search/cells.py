@@ -246,7 +246,7 @@ def _place_by_count(grid: Any, points: "wp.array", cell_count: int, rows: int) -
     """Counting sort on a CPU with a direct table: each thread counts its share of the points, then places it."""
     import warp as wp
 
-    from geokit.core.counting_sort_cpu_kernels import sum_kernel
+    from geokit.core.sorting.counting_sort_cpu_kernels import sum_kernel
     from geokit.points.search import cells_cpu_kernels as kernels
 
     device: Any = points.device

@@ -199,7 +199,7 @@ def in_grid_order(
     """
     import warp as wp
 
-    from geokit.core.gather_kernels import GATHER
+    from geokit.core.sorting.gather_kernels import GATHER
     from geokit.volume.band import tiles_kernels as kernels
 
     device = cells.device

@@ -86,7 +86,7 @@ def used_only(vertices: "wp.array", faces: "wp.array") -> tuple["wp.array", "wp.
     """
     import warp as wp
 
-    from geokit.core.gather_kernels import GATHER
+    from geokit.core.sorting.gather_kernels import GATHER
     from geokit.volume.isosurface import compact_vertices_kernels as kernels
 
     device = vertices.device

@@ -14,7 +14,7 @@ import warp as wp
 from geokit.core.gradients.library import Library, length
 from geokit.core.gradients.rules import Asked, Rule
 from geokit.errors import InputError
-from geokit.points.search.pair_slopes_kernels import PAIR_SLOPES
+from geokit.points.gradients.pair_slopes_kernels import PAIR_SLOPES
 
 # Rows that can be sorted by the point that they belong to: twice as many places, numbered with 31 bits.
 MOST_SUMMED = 2**30 - 1

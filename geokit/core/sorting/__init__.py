@@ -1,0 +1,1 @@
+"""In what order do rows lie? Rows by their key, and rows in another order."""

@@ -1,0 +1,1 @@
+"""How do distances between points change with the points?"""
