@@ -16,7 +16,7 @@ from geokit.core.query.ask import query
 from geokit.core.require import require_one_world
 from geokit.errors import InputError
 from geokit.volume.model.sparse_volume import SparseVolume
-from geokit.volume.rays.ray_field import ray_field, read_rays, refuse_bad_rays
+from geokit.volume.rays.ray_field import ray_field
 from geokit.volume.tree.leaves import require_volume
 
 if TYPE_CHECKING:
@@ -97,12 +97,12 @@ def integrate(
     """
     import warp as wp
 
-    lowest = -math.ulp(0.0)
-    factor = wp.float64(user_arrays.require_finite_scalar(extinction, "extinction", low=lowest))
-    start = wp.float64(user_arrays.require_finite_scalar(t_min, "t_min", low=lowest))
-    reach = wp.float64(user_arrays.require_finite_scalar(max_distance, "max_distance", low=lowest, infinite=True))
+    from geokit.volume.rays.raycast_kernels import SHORTEST_DIRECTION
+
+    factor = wp.float64(user_arrays.require_finite_scalar(extinction, "extinction", low=-math.ulp(0.0)))
+    start, reach = user_arrays.ray_limits(t_min, max_distance)
     target = launcher.resolve_device(device)
-    rays, heading = read_rays(origins, directions, target)
+    rays, heading = user_arrays.read_rows([origins, directions], ["origins", "directions"], target, defer=True)
     require_volume(volume, "volume")
     if emission is not None:
         require_volume(emission, "emission")
@@ -116,8 +116,7 @@ def integrate(
     kernel, more = _kernel(volume, emission, target)
     inputs = [rays.rows, heading.rows, field, *more, start, reach, factor]
     launcher.launch(kernel, len(rays), inputs, [*found, bad], target)
-    if bad.numpy()[0]:
-        refuse_bad_rays(rays, heading)
+    user_arrays.refuse_rays(bad, rays, heading, float(SHORTEST_DIRECTION))
     return Transmittance(*(rays.to_caller(array) for array in found))
 
 

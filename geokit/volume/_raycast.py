@@ -16,7 +16,7 @@ from geokit.core.memory.pinned import host_flags
 from geokit.core.query.ask import query
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.rays.crossing_blocks import crossing_blocks
-from geokit.volume.rays.ray_field import ray_field, read_rays, refuse_bad_rays
+from geokit.volume.rays.ray_field import ray_field
 from geokit.volume.tree.leaves import require_volume
 
 __all__ = ["VolumeHits", "raycast"]
@@ -107,14 +107,12 @@ def raycast(
     """
     import warp as wp
 
-    from geokit.volume.rays.raycast_kernels import RAYCAST
+    from geokit.volume.rays.raycast_kernels import RAYCAST, SHORTEST_DIRECTION
 
-    lowest = -math.ulp(0.0)
     level = user_arrays.require_finite_scalar(isovalue, "isovalue")
-    start = wp.float64(user_arrays.require_finite_scalar(t_min, "t_min", low=lowest))
-    reach = wp.float64(user_arrays.require_finite_scalar(max_distance, "max_distance", low=lowest, infinite=True))
+    start, reach = user_arrays.ray_limits(t_min, max_distance)
     target = launcher.resolve_device(device)
-    rays, heading = read_rays(origins, directions, target)
+    rays, heading = user_arrays.read_rows([origins, directions], ["origins", "directions"], target, defer=True)
     field = ray_field(require_volume(volume, "volume"), target)
     found = VolumeHits(
         t=user_arrays.empty(len(rays), wp.float64, rays.rows),
@@ -135,8 +133,7 @@ def raycast(
         launcher.launch(RAYCAST_PACKETS[single], items, inputs, [*found, bad], target, grain=GRAIN)
     else:
         launcher.launch(RAYCAST[single], len(rays), inputs, [*found, bad], target)
-    if bad.numpy()[0]:
-        refuse_bad_rays(rays, heading)
+    user_arrays.refuse_rays(bad, rays, heading, float(SHORTEST_DIRECTION))
     return VolumeHits(*(rays.to_caller(array) for array in found))
 
 

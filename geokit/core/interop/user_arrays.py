@@ -47,9 +47,11 @@ __all__ = [
     "empty_outputs",
     "full",
     "mapped",
+    "ray_limits",
     "read_numbers",
     "read_rows",
     "read_vectors",
+    "refuse_rays",
     "reported_row",
     "require_finite",
     "require_finite_scalar",
@@ -314,6 +316,24 @@ def require_length(batch: Batch, name: str, shortest: float) -> None:
     row = reported_row(first_short_kernel, batch.rows, [wp.float64(shortest)])
     if row >= 0:
         raise InputError(f"{name}: row {row + batch.first_row} is zero or too short for a direction; give it a length")
+
+
+def ray_limits(t_min: Any, max_distance: Any) -> tuple[Any, Any]:
+    """Both limits of rays as kernels take them; none is negative, and the second may be infinite."""
+    import warp as wp
+
+    lowest = -math.ulp(0.0)
+    start = require_finite_scalar(t_min, "t_min", low=lowest)
+    reach = require_finite_scalar(max_distance, "max_distance", low=lowest, infinite=True)
+    return wp.float64(start), wp.float64(reach)
+
+
+def refuse_rays(bad: Any, rays: Batch, heading: Batch, shortest: float) -> None:
+    """Raise InputError and name the first ray that is not usable, if a kernel has raised ``bad``."""
+    if bad.numpy()[0]:
+        require_finite(rays, "origins")
+        require_finite(heading, "directions")
+        require_length(heading, "directions", shortest)
 
 
 def reported_row(kernel: Any, rows: "wp.array", inputs: list[Any]) -> int:

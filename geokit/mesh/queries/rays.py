@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from geokit.core.frame import Frame
     from geokit.mesh.model.triangle_mesh import TriangleMesh
 
-__all__ = ["RayHitLists", "RayHits", "RayQueries", "checked_limits", "group_size", "refuse_rays"]
+__all__ = ["RayHitLists", "RayHits", "RayQueries", "checked_limits", "group_size"]
 
 # Rays per thread on a CPU, where many are in flight at once. In small groups, finished rays find no successors; with
 # large ones, threads wait for the last group. On a GPU each ray has its own thread.
@@ -317,6 +317,8 @@ class RayQueries:
         *streams: "wp.array",
     ) -> Callable[[], None]:
         """Launch the kernel; the function that is returned waits for it and casts what it left undecided."""
+        from geokit.mesh.bvh.ray_walk_kernels import SHORTEST_DIRECTION
+
         start, reach = checked_limits(rays, heading, t_min, max_distance)
         bad = host_flags(2, self._device)  # [0]: a ray is invalid; [1]: some rays are undecided
         count = len(rays)
@@ -331,7 +333,7 @@ class RayQueries:
             if again is not None and bad.numpy()[1]:
                 launcher.launch(*again, [*outputs, bad], self._device)
             # Waits for the launches, so that the answer is whole.
-            refuse_rays(bad, rays, heading)
+            user_arrays.refuse_rays(bad, rays, heading, SHORTEST_DIRECTION)
 
         return finish
 
@@ -361,24 +363,9 @@ def checked_limits(
     rays: user_arrays.Batch, heading: user_arrays.Batch, t_min: float, max_distance: float
 ) -> tuple[Any, Any]:
     """``t_min`` and ``max_distance`` as kernels take them; there must be a direction for each origin."""
-    import warp as wp
-
     if len(rays) != len(heading):
         raise InputError(f"directions: {len(heading)} rows for {len(rays)} origins; give one direction for each")
-    lowest = -math.ulp(0.0)
-    start = user_arrays.require_finite_scalar(t_min, "t_min", low=lowest)
-    reach = user_arrays.require_finite_scalar(max_distance, "max_distance", low=lowest, infinite=True)
-    return wp.float64(start), wp.float64(reach)
-
-
-def refuse_rays(bad: Any, rays: user_arrays.Batch, heading: user_arrays.Batch) -> None:
-    """Raise InputError and name the first ray that is not usable, if a kernel has raised ``bad``."""
-    from geokit.mesh.bvh.ray_walk_kernels import SHORTEST_DIRECTION
-
-    if bad.numpy()[0]:
-        user_arrays.require_finite(rays, "origins")
-        user_arrays.require_finite(heading, "directions")
-        user_arrays.require_length(heading, "directions", SHORTEST_DIRECTION)
+    return user_arrays.ray_limits(t_min, max_distance)
 
 
 def group_size(count: int) -> int:

@@ -25,7 +25,7 @@ from geokit.core.require import described, read_array, require_choice, require_c
 from geokit.errors import InputError
 from geokit.mesh.model.triangle_mesh import TriangleMesh, trusted_mesh
 from geokit.mesh.queries.points import QUERY_GROUP, ClosestPoints, checked_radius, refuse_raised
-from geokit.mesh.queries.rays import RayHits, checked_limits, group_size, refuse_rays
+from geokit.mesh.queries.rays import RayHits, checked_limits, group_size
 from geokit.mesh.sign.queries import SIGN_METHODS, SignedDistances
 from geokit.mesh.surfaces.objects import require_mesh
 from geokit.mesh.surfaces.surface import Surface
@@ -317,6 +317,7 @@ class Surfaces:
         """
         import warp as wp
 
+        from geokit.mesh.bvh.ray_walk_kernels import SHORTEST_DIRECTION
         from geokit.mesh.queries.forest_raycast_kernels import forest_raycast_kernel
 
         self._require_measurable()
@@ -331,7 +332,7 @@ class Surfaces:
         trees = self._cache.find("ray trees", lambda: self._structs(True))
         inputs = [group, where, rays.rows, heading.rows, trees, *limits]
         launcher.launch(forest_raycast_kernel, -(-len(rays) // group), inputs, [*found, bad], self._device, grain=1)
-        refuse_rays(bad, rays, heading)
+        user_arrays.refuse_rays(bad, rays, heading, SHORTEST_DIRECTION)
         return RayHits(*(shaped(rays.to_caller(array)) for array in found))
 
     # In the cache, which copies without tensors share.

@@ -15,7 +15,7 @@ from geokit.core.gradients.rules import Asked, Deferred, Rule, held_by, untracke
 from geokit.core.interop import user_arrays
 from geokit.core.interop.arrays import reinterpreted
 from geokit.core.memory.pinned import host_flags
-from geokit.volume.rays.ray_field import ray_field, read_rays
+from geokit.volume.rays.ray_field import ray_field
 from geokit.volume.tree.leaves import value_places
 
 if TYPE_CHECKING:
@@ -35,7 +35,8 @@ class _Walk:
 
         arguments = asked.arguments
         self.device = launcher.resolve_device(arguments["device"])
-        self.rays, self.heading = read_rays(origins, directions, self.device)
+        rows = [origins, directions]
+        self.rays, self.heading = user_arrays.read_rows(rows, ["origins", "directions"], self.device, defer=True)
         volume = _known(arguments["volume"])
         self.emits = arguments["emission"] is not None
         # Without emission nothing is read of the second grid.

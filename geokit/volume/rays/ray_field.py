@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core.interop import user_arrays
 from geokit.errors import UnsupportedGridError
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.checks import check_volume
@@ -17,7 +16,7 @@ from geokit.volume.nanovdb.types import SCALAR_TYPES
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["LEAF_SPAN", "anchor_of", "ray_field", "read_rays", "refuse_bad_rays", "stored_box"]
+__all__ = ["LEAF_SPAN", "anchor_of", "ray_field", "stored_box"]
 
 # Voxels this near the ends of int32 count as background, because borders of blocks must be int32 numbers too.
 OUTERMOST_VOXEL = 2**31 - 16
@@ -70,35 +69,6 @@ def ray_field(volume: SparseVolume, device: "wp.Device", *others: SparseVolume) 
     field.blocks = wp.empty(0, dtype=wp.uint64, device=device)
     field.lower, field.upper = wp.vec3d(*lower.tolist()), wp.vec3d(*upper.tolist())
     return field
-
-
-def read_rays(origins: Any, directions: Any, device: "wp.Device") -> tuple[user_arrays.Batch, user_arrays.Batch]:
-    """Origins and directions as batches of equal length. The kernel checks their rows.
-
-    Args:
-        origins: Shape (..., 3).
-        directions: Of the same shape, or one for all.
-        device: Device of the kernels.
-    Returns:
-        Both batches.
-    Raises:
-        InputError: A wrong shape or dtype, or lengths that differ.
-    """
-    rays, heading = user_arrays.read_rows([origins, directions], ["origins", "directions"], device, defer=True)
-    return rays, heading
-
-
-def refuse_bad_rays(rays: user_arrays.Batch, heading: user_arrays.Batch) -> None:
-    """Raise for the first row that a kernel found unusable.
-
-    Raises:
-        InputError: A row is not finite, or a direction is zero.
-    """
-    from geokit.volume.rays.raycast_kernels import SHORTEST_DIRECTION
-
-    user_arrays.require_finite(rays, "origins")
-    user_arrays.require_finite(heading, "directions")
-    user_arrays.require_length(heading, "directions", float(SHORTEST_DIRECTION))
 
 
 def stored_box(volume: SparseVolume) -> NDArray[np.int64] | None:
