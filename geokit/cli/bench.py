@@ -67,7 +67,9 @@ def bench(
     results = run(subjects, devices=device, quick=quick, charts=chart, progress=note)
     page = write_report(results, out, force=force, figure_format=figures)
     if json:
-        print_json([_facts(row) for row in results])
+        from geokit.accuracy.report.table import COLUMNS
+
+        print_json([{name: getattr(row, name) for name in COLUMNS} for row in results])
     else:
         _print_fronts(results)
         say(f"{len(results)} rows, {len(results.failures)} failures: {page}")
@@ -98,12 +100,6 @@ def _subject(source: Path, grid: str | None, columns: str | None) -> "Subject":
 
         return Subject(source.name, mesh=load(source))
     return Subject(source.name, points=load_cloud(source, columns=columns).points)
-
-
-def _facts(row: object) -> dict[str, object]:
-    from geokit.accuracy.report.table import COLUMNS
-
-    return {name: getattr(row, name) for name in COLUMNS}
 
 
 def _print_fronts(results: "Results") -> None:

@@ -118,10 +118,6 @@ def _lines(data: bytes) -> _Lines:
     return _Lines(vertices, faces, vertices_before, starts, uv, normal, materials, libraries, unknown, others)
 
 
-def _coordinates(lines: list[bytes], path: Path) -> NDArray[np.float64]:
-    return numbers(_first_three(lines, path), np.float64, path, "vertices").reshape(-1, 3)
-
-
 def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
     """Read the vertices, and the colors behind them as ``rgb``; everything else is left out.
 
@@ -280,7 +276,7 @@ def _vertices(lines: list[bytes], path: Path, notes: list[str]) -> tuple[NDArray
         notes.append(
             "the numbers behind the coordinates of vertices are left out: not each vertex has a color of three"
         )
-    return _coordinates(lines, path), None
+    return numbers(_first_three(lines, path), np.float64, path, "vertices").reshape(-1, 3), None
 
 
 def _references(corners: list[bytes]) -> tuple[list[bytes], tuple[list[bytes], list[bytes]]]:

@@ -39,10 +39,10 @@ def powers(first: int, last: int, step: int = 1) -> tuple[float, ...]:
 
 def size_sweeps(
     sweeps: Sweeps, name: str, method: str, large: tuple[float, ...], small: tuple[float, ...], subject: str
-) -> Callable[[Callable[..., Judgement]], None]:
+) -> Callable[[Callable[..., Judgement]], Callable[..., Judgement]]:
     """Decorator that adds sweeps towards large and small meshes; what ``subject`` names keeps its digits up to 1e70."""
 
-    def note(ask: Callable[..., Judgement]) -> None:
+    def note(ask: Callable[..., Judgement]) -> Callable[..., Judgement]:
         ends = (("large", large, 1e70, "up to 1e70"), ("small", small, 1e-70, "down to 1e-70"))
         for end, values, last, reach in ends:
             sweeps.add(
@@ -55,6 +55,7 @@ def size_sweeps(
                 error=1e-14,
                 statement=f"{subject} an error of at most 1e-14 of the mesh's size for sizes {reach}.",
             )(ask)
+        return ask
 
     return note
 

@@ -50,13 +50,13 @@ def by_sign(
     values: tuple[float, ...],
     promises: Mapping[str, tuple[Any, float, str]],
     logarithmic: bool = True,
-) -> Callable[[Callable[..., Judgement]], None]:
+) -> Callable[[Callable[..., Judgement]], Callable[..., Judgement]]:
     """Decorator that adds a sweep for each method of signs, whose name the function takes as ``sign``.
 
     A promise is the last value, the share of wrong answers and the statement.
     """
 
-    def note(ask: Callable[..., Judgement]) -> None:
+    def note(ask: Callable[..., Judgement]) -> Callable[..., Judgement]:
         for sign, (last, wrong_share, statement) in promises.items():
             SWEEPS.add(
                 f"{name}_{sign}",
@@ -71,6 +71,7 @@ def by_sign(
                 logarithmic=logarithmic,
                 case={"sign": sign},
             )(ask)
+        return ask
 
     return note
 

@@ -121,7 +121,8 @@ def without_cap(mesh: TriangleMesh, share: float) -> TriangleMesh:
 
 
 def _without_first(mesh: TriangleMesh, order: NDArray[np.int64], share: float) -> TriangleMesh:
-    area = _areas(mesh)[order]
+    a, b, c = (mesh.vertices[mesh.faces[order, k]] for k in range(3))
+    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
     removed = order[: int(np.searchsorted(np.cumsum(area), share * area.sum()))]
     return TriangleMesh(mesh.vertices, np.delete(mesh.faces, removed, axis=0), name=mesh.name)
 
@@ -178,8 +179,3 @@ def box_distance(points: NDArray[np.float64], lower: NDArray, upper: NDArray) ->
 def sphere_distance(points: NDArray[np.float64], radius: float = 1.0) -> NDArray[np.float64]:
     """Signed distance (N,) to the true sphere about the origin, negative inside [world]."""
     return np.linalg.norm(points, axis=1) - radius
-
-
-def _areas(mesh: TriangleMesh) -> NDArray[np.float64]:
-    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
-    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)

@@ -203,7 +203,8 @@ def cast_image(log: DemoLog, surface: "Surface") -> tuple[Camera, "RayHits"]:
         entry.count = len(camera.origins)
     # Check as many hits as misses, spread over the picture.
     random = np.random.default_rng(3)
-    some = np.concatenate([random.permutation(np.flatnonzero(mask))[: CHECKED // 2] for mask in _hit_masks(hits)])
+    is_hit = np.asarray(hits.triangle_id) >= 0
+    some = np.concatenate([random.permutation(np.flatnonzero(mask))[: CHECKED // 2] for mask in (is_hit, ~is_hit)])
     mesh = surface.mesh
     expected = reference.first_hit(mesh.vertices, mesh.faces, camera.origins[some], camera.directions[some]).t
     both = np.isfinite(expected) & np.isfinite(hits.t[some])
@@ -211,11 +212,6 @@ def cast_image(log: DemoLog, surface: "Surface") -> tuple[Camera, "RayHits"]:
     entry.error = float("inf") if disagree.any() else float(np.abs(expected[both] - hits.t[some][both]).max())
     entry.reference = f"brute force of {len(some)}, hits and misses alike [world]"
     return camera, hits
-
-
-def _hit_masks(hits: "RayHits") -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    is_hit = np.asarray(hits.triangle_id) >= 0
-    return is_hit, ~is_hit
 
 
 def sample_volume(log: DemoLog, surface: "Surface", volume: "SparseVolume", device: Any) -> None:

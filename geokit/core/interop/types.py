@@ -74,20 +74,16 @@ class _Positions(Protocol):
 Rows: TypeAlias = "ArrayLike | _Exporter | _CudaExporter | _Points | _Vertices | _Positions"
 
 
-class _Indexed(Protocol):
+class _Indexed(_Vertices, Protocol):
     """geokit's TriangleMesh, trimesh.Trimesh, and most others."""
 
-    @property
-    def vertices(self) -> Any: ...
     @property
     def faces(self) -> Any: ...
 
 
-class _Triangles(Protocol):
+class _Triangles(_Vertices, Protocol):
     """open3d.geometry.TriangleMesh."""
 
-    @property
-    def vertices(self) -> Any: ...
     @property
     def triangles(self) -> Any: ...
 
@@ -101,20 +97,16 @@ class _Tensors(Protocol):
     def triangle(self) -> Any: ...
 
 
-class _Faces(Protocol):
+class _Faces(_Points, Protocol):
     """pyvista.PolyData."""
 
-    @property
-    def points(self) -> Any: ...
     @property
     def faces(self) -> Any: ...
 
 
-class _Cells(Protocol):
+class _Cells(_Points, Protocol):
     """meshio.Mesh."""
 
-    @property
-    def points(self) -> Any: ...
     @property
     def cells(self) -> Any: ...
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import quoteattr
@@ -110,7 +109,7 @@ def open_images(path: Path, limit: int) -> list[Image]:
             shape=shape,
             dtype=values.dtype,
             transform=affine(columns, origin),
-            slabs=functools.partial(_whole, values),
+            slabs=functools.partial(iter, (values,)),
             components=values.shape[3] if values.ndim == 4 else 1,
             name=name,
             note={"origin": extent[:, 0].tolist(), **note},
@@ -130,10 +129,6 @@ def _voxels(path: Path, name: str, array: NDArray[Any], shape: tuple[int, int, i
         raise FileFormatError(f"{path}: holds {held} on {shape}; geokit reads 1, 3 or 4 real numbers in each voxel")
     values = rows.reshape(*shape[::-1], components).transpose(2, 1, 0, 3)
     return values if components > 1 else values[..., 0]
-
-
-def _whole(values: NDArray[Any]) -> Iterator[NDArray[Any]]:
-    yield values
 
 
 def write_image(path: Path, image: Image, codec: str | None) -> None:

@@ -38,14 +38,6 @@ NUMBERS = {"astype", "bitround", "delta", "fixedscaleoffset", "packbits", "quant
 METADATA = (".zarray", ".zattrs", ".zgroup", ".zmetadata", "zarr.json")
 
 
-def _blosc(data: bytes, most: int) -> int:
-    return int(struct.unpack_from("<I", data, 4)[0])
-
-
-def _lz4(data: bytes, most: int) -> int:
-    return int(struct.unpack_from("<I", data)[0])
-
-
 def _zstd(data: bytes, most: int) -> int:
     """What the headers of all frames and blocks allow at most."""
     at = content = 0
@@ -94,8 +86,8 @@ def _streamed(make: Callable[[], Any], feed: str) -> Callable[[bytes, int], int]
 
 
 MEASURES: dict[str, Callable[[bytes, int], int]] = {
-    "blosc": _blosc,
-    "lz4": _lz4,
+    "blosc": lambda data, most: int(struct.unpack_from("<I", data, 4)[0]),
+    "lz4": lambda data, most: int(struct.unpack_from("<I", data)[0]),
     "zstd": _zstd,
     "zlib": _streamed(lambda: zlib.decompressobj(zlib.MAX_WBITS | 32), "tail"),
     "gzip": _streamed(lambda: zlib.decompressobj(zlib.MAX_WBITS | 32), "tail"),

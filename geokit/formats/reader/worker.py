@@ -250,7 +250,8 @@ def _read(request: Request, reader: ModuleType) -> tuple[dict[str, Any], list[An
             elif request["content"] == "grids":
                 facts, arrays = reader.read_grids(path, request["names"])
             else:
-                facts, arrays = _points(*reader.read_points(path))
+                points, data = reader.read_points(path)
+                facts, arrays = None, [("", points), *data.items()]
         for name, array in arrays:
             kind, shape, buffer = _described(array)
             listed.append((name, kind, shape))
@@ -299,10 +300,6 @@ def _mesh(bodies: list[Body]) -> tuple[Any, Named]:
         arrays += [item for kind in data for item in kind.items()]
         arrays += [("", material.texture) for material in body.materials]
     return facts, arrays
-
-
-def _points(points: Any, data: dict[str, Any]) -> tuple[Any, Named]:
-    return None, [("", points), *data.items()]
 
 
 def _described(array: Any) -> tuple[str, tuple[int, ...], Any]:

@@ -142,7 +142,8 @@ class TriangleMesh:
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
 
     def __reduce__(self) -> Any:
-        more = {name: _plain(value) for name in _MORE if (value := getattr(self, name))}
+        given = {name: value for name in _MORE if (value := getattr(self, name))}
+        more = {name: dict(value) if isinstance(value, MappingProxyType) else value for name, value in given.items()}
         return trusted_mesh, (self.vertices, self.faces, self.name, self.parts, more)
 
     def __eq__(self, other: object) -> bool:
@@ -268,10 +269,6 @@ class TriangleMesh:
 
 # Attributes that only some meshes have.
 _MORE = ("vertex_data", "face_data", "corner_data", "materials", "meters_per_unit", "up_axis")
-
-
-def _plain(value: Any) -> Any:
-    return dict(value) if isinstance(value, MappingProxyType) else value
 
 
 def _same(one: Data, other: Data) -> bool:

@@ -45,7 +45,7 @@ def mesh_record(mesh: TriangleMesh, name: str, frame: Frame, arrays: Arrays) -> 
 
 
 def cloud_record(cloud: PointCloud, name: str, frame: Frame, arrays: Arrays) -> dict[str, Any]:
-    colors = next((key for key in COLOR_NAMES if key in cloud.data and _is_color(cloud.data[key])), None)
+    colors = next((key for key in COLOR_NAMES if key in cloud.data and cloud.data[key].shape[1:] in ((3,), (4,))), None)
     return {
         "kind": "cloud",
         "name": name,
@@ -53,10 +53,6 @@ def cloud_record(cloud: PointCloud, name: str, frame: Frame, arrays: Arrays) -> 
         "colors": None if colors is None else {"at": "vertex", "values": arrays.add(bytes_of(cloud.data[colors]))},
         "attributes": list(_attributes(cloud.data, "vertex", arrays, () if colors is None else (colors,))),
     }
-
-
-def _is_color(values: NDArray[Any]) -> bool:
-    return values.ndim == 2 and values.shape[1] in (3, 4)
 
 
 def _mesh_colors(mesh: TriangleMesh, arrays: Arrays) -> dict[str, Any] | None:

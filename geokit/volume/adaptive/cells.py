@@ -277,7 +277,7 @@ def _crease_errors(
     reach = wp.float64(lattice.within * (1.0 + BORDER))
     # As bits, negative: see crease_kernel.
     worst = wp.zeros(len(cells), dtype=wp.int64, device=device)
-    most = -_bits(limit)
+    most = -int(np.float64(limit).view(np.int64))
     for points, between in _crease_points(lattice, limit, POINTS_AT_A_TIME):
         for depth in CREASE_DEPTHS:
             asked = points + between * (depth * lattice.within)
@@ -292,10 +292,6 @@ def _crease_errors(
             inputs = [*_on(device, exact, asked)[::-1], *lookup, wp.clone(worst), open_from, *read, reach]
             launcher.launch(crease_kernel, len(asked), inputs, [worst], device)
     return np.asarray((-worst.numpy()).view(np.float64))
-
-
-def _bits(value: float) -> int:
-    return int(np.float64(value).view(np.int64))
 
 
 def _crease_points(

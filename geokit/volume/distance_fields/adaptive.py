@@ -368,7 +368,8 @@ def load_adaptive(path: str | os.PathLike[str], *, memory_limit: int | None = No
     if not levels:
         raise FileFormatError(f"{path}: no grid has {LEVEL!r} in its metadata; save an AdaptiveSDF there")
     wanted = levels[min(levels)].info.metadata.get(LEVEL_COUNT)
-    if sorted(levels) != list(range(len(levels))) or len(levels) != wanted or len(levels) != _numbered(grids):
+    numbered = sum(isinstance(number, int) for number, _ in grids)
+    if sorted(levels) != list(range(len(levels))) or len(levels) != wanted or len(levels) != numbered:
         raise FileFormatError(
             f"{path}: levels {sorted(levels)} of {wanted} are not those of one adaptive field; save one to a file of "
             "its own"
@@ -377,10 +378,6 @@ def load_adaptive(path: str | os.PathLike[str], *, memory_limit: int | None = No
         return AdaptiveSDF(tuple(levels[number] for number in sorted(levels)))
     except InputError as error:
         raise FileFormatError(f"{path}: {error}") from error
-
-
-def _numbered(grids: list[tuple[Any, SparseVolume]]) -> int:
-    return sum(isinstance(number, int) for number, _ in grids)
 
 
 def _least(search: Search, name: str, max_levels: int) -> tuple[AdaptiveSDF, Achieved]:
