@@ -68,8 +68,8 @@ def _radius_trials(setup: PointsSetup) -> Iterator[Trial]:
             yield trial("radius_search, float64", run, judge, size, **cells, order=order)
     grid = NeighborGrid(setup.points, radius, device=setup.device)
     cells = {"radius": radius, "cell_size": radius}
-    run = partial(grid.count, single, radius=radius)
-    yield trial("count, float32", run, judge_counts, held_bytes(grid), **cells)
+    counting = partial(grid.count, single, radius=radius)
+    yield trial("count, float32", counting, judge_counts, held_bytes(grid), **cells)
     run = partial(grid.radius_search, single, radius=radius, order="any")
     yield trial("radius_search, float32", run, judge, held_bytes(grid), **cells, order="any")
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import operator
 import warnings
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -145,7 +147,7 @@ for method, constant in CURVATURE_ERROR.items():
         unit="voxels",
         values=(16.0, 8.0, 4.0, 2.0, 1.0, 0.5, 0.25),
         last=1.0,
-        error=lambda radius, constant=constant: constant / radius,
+        error=partial(operator.truediv, constant),
         statement=f"The surface of a distance field is off by at most {constant:g} voxel^2 over the radius of "
         "curvature, down to a radius of 1 voxel; balls of less than 0.87 voxel may be lost.",
         case={"method": method},
