@@ -116,13 +116,13 @@ def _pull_pairs(
     shifts: Any = None,
     cell: Any = None,
 ) -> None:
-    queries, points, kinds, count = ends
+    queries, points, (query_number, point_number), count = ends
     offsets = arrays.made(0, 1, wp.int64) if offsets is None else offsets
     shifts = arrays.made(0, 1, wp.int32) if shifts is None else shifts
     lists = [arrays.given(offsets), width, arrays.given(indices), arrays.given(shifts)]
     box = wp.mat33d(*(np.zeros(9) if cell is None else np.ravel(cell)))
     inputs = [queries, points, *lists, box, arrays.given(by), begin]
-    arrays.launch(PAIR_SLOPES[(arrays.number, *kinds)], count, inputs, outputs)
+    arrays.launch(PAIR_SLOPES[arrays.number, query_number, point_number], count, inputs, outputs)
 
 
 def _nearest_shapes(asked: Asked) -> list[tuple[tuple[int, ...], str]]:
