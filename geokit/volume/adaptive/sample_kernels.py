@@ -13,31 +13,16 @@ from typing import Any
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 from geokit.volume.adaptive.table_kernels import AdaptiveLevels
 from geokit.volume.sampling.trilinear_table_kernels import ANSWERS, GROUP, overloads
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
 
 
-def _cells(gradient: int, real: str | None = None) -> str:
-    defines = {
-        "FIRST_TABLE": "levels.tables.data[0]",
-        "LEVEL_TABLE(level)": "levels.tables.data[level]",
-        # Leaves of float grids have 67 times 32 bytes.
-        "LEAF_STEP(level)": "67",
-        "GRADIENT": str(gradient),
-    }
-    if real is None:
-        defines["DESCENT"] = '"volume/adaptive/descent.inl"'
-    else:
-        defines |= {"REAL": real, "GROUP_DESCENT": '"volume/adaptive/group_descent_cpu.inl"'}
-    return cpp("volume/sampling/trilinear_cells.inl", defines=defines)
+for _point, _answer in ANSWERS:
 
-
-for _gradient, _real, _point, _answer in ANSWERS:
-
-    @wp.func_native(_cells(_gradient, _real))
+    @cpp.func_native("volume/adaptive/sample_cpu.inl")
     def adaptive_group(
         levels: AdaptiveLevels,
         start: int,
@@ -52,13 +37,13 @@ for _gradient, _real, _point, _answer in ANSWERS:
 
 
 # Overloads: values or gradients, by the type of the last argument.
-@wp.func_native(_cells(0))
+@cpp.func_native("volume/adaptive/sample.inl", function="adaptive_value")
 def adaptive_single(levels: AdaptiveLevels, u: wp.vec3d, to_index: wp.mat33d, background: wp.float64) -> wp.float64:
     """The answer at index coordinates of level 0; NaN beyond the box of its table."""
     ...
 
 
-@wp.func_native(_cells(1))
+@cpp.func_native("volume/adaptive/sample.inl", function="adaptive_slopes")
 def adaptive_single(  # noqa: F811
     levels: AdaptiveLevels, u: wp.vec3d, to_index: wp.mat33d, background: wp.vec3d
 ) -> wp.vec3d: ...

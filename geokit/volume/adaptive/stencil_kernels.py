@@ -1,6 +1,6 @@
 """The interpolant of an adaptive field of any order and codec, and its gradient, in the finest cell around each point.
 
-find_cell.inl goes down to that cell. The level's grid is then read as any volume is, with the sums of sample_kernels
+descent.inl goes down to that cell. The level's grid is then read as any volume is, with the sums of sample_kernels
 and smooth_kernels, so a field of one level equals the volume.
 """
 
@@ -10,7 +10,7 @@ from typing import Any
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 from geokit.volume.adaptive.table_kernels import AdaptiveLevels
 from geokit.volume.nanovdb.read_voxel_kernels import read_cell
 from geokit.volume.sampling.sample_kernels import has_voxels, trilinear, trilinear_slopes, world_gradient
@@ -27,7 +27,7 @@ class Linear:
     order: int
 
 
-@wp.func_native(cpp("volume/adaptive/find_cell.inl"))
+@cpp.func_native("volume/adaptive/descent.inl", function="find_finest")
 def find_cell(levels: AdaptiveLevels, u: wp.vec3d) -> wp.vec4i:
     """Level, and first voxel, of the finest cell around index coordinates of level 0."""
     ...

@@ -8,7 +8,7 @@ cell around a point never depends on rounding at another level.
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 from geokit.volume.sampling.leaf_table_kernels import LeafTable
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
@@ -31,20 +31,13 @@ class AdaptiveLevels:
     shift: wp.array(dtype=wp.vec3i)
 
 
-_CORNER_SNIPPET = """
-    // The first active voxel of the leaf, or of one without any its first: with its low bits cleared the corner.
-    const int* const box = (const int*)(table.grid + (unsigned long long)entry * 32ull);
-    return wp::vec_t<3, int>(box[0] & ~7, box[1] & ~7, box[2] & ~7);
-"""
-
-
-@wp.func_native(_CORNER_SNIPPET)
+@cpp.func_native("volume/adaptive/table.inl")
 def leaf_corner(table: LeafTable, entry: int) -> wp.vec3i:
     """First voxel of the leaf of an entry."""
     ...
 
 
-@wp.func_native(cpp("volume/adaptive/is_leaf_active.inl"))
+@cpp.func_native("volume/adaptive/table.inl")
 def is_active(table: LeafTable, i: int, j: int, k: int) -> bool:
     """Whether the voxel (i, j, k) lies in a leaf and is active there."""
     ...

@@ -3,7 +3,7 @@
 // normal. The walk in between is scalar. All operations are those of raycast.inl and write_hit, so answers agree to
 // the last bit.
 //
-// Loops whose reads are scattered are not vectorized: see trilinear_cells.inl.
+// Loops whose reads are scattered are not vectorized: see trilinear_cpu.inl.
 #include "core/simd.inl"
 #include "volume/rays/crossing.inl"
 #include "volume/rays/traverse_blocks.inl"
@@ -47,8 +47,8 @@ static constexpr auto read_packet = [](int start, int count, const wp::array_t<w
     const double lower[3] = {field.lower[0], field.lower[1], field.lower[2]};
     const double upper[3] = {field.upper[0], field.upper[1], field.upper[2]};
     const double cx = field.corner[0], cy = field.corner[1], cz = field.corner[2];
-    const auto& to_index = field.to_index;
-#include "volume/sampling/matrix.inl"
+    const wp::mat33d to_index = field.to_index;
+    const auto& m = to_index.data;
     double (&ox)[G] = world.ox, (&oy)[G] = world.oy, (&oz)[G] = world.oz;
     double (&rx)[G] = world.rx, (&ry)[G] = world.ry, (&rz)[G] = world.rz;
         #pragma clang loop vectorize(disable)
@@ -70,14 +70,14 @@ static constexpr auto read_packet = [](int start, int count, const wp::array_t<w
                             + ((oz[q] - oz[q]) + (rz[q] - rz[q]));
         useless[q] = !((largest >= SHORTEST_DIRECTION) & (lost == 0.0));
         const double x = rx[q] / largest, y = ry[q] / largest, z = rz[q] / largest;
-        const double tx = m00 * x + m01 * y + m02 * z, ty = m10 * x + m11 * y + m12 * z;
-        const double tz = m20 * x + m21 * y + m22 * z;
+        const double tx = m[0][0] * x + m[0][1] * y + m[0][2] * z, ty = m[1][0] * x + m[1][1] * y + m[1][2] * z;
+        const double tz = m[2][0] * x + m[2][1] * y + m[2][2] * z;
         const double voxels = wp::max(wp::max(wp::abs(tx), wp::abs(ty)), wp::abs(tz)), scale = voxels * largest;
         const double t_first = t_min * scale;
         const double t_last = max_distance / __builtin_elementwise_sqrt(x * x + y * y + z * z) * voxels;
         const double ax = ox[q] - cx, ay = oy[q] - cy, az = oz[q] - cz;
-        const double start[3] = {m00 * ax + m01 * ay + m02 * az, m10 * ax + m11 * ay + m12 * az,
-                                 m20 * ax + m21 * ay + m22 * az};
+        const double start[3] = {m[0][0] * ax + m[0][1] * ay + m[0][2] * az, m[1][0] * ax + m[1][1] * ay + m[1][2] * az,
+                                 m[2][0] * ax + m[2][1] * ay + m[2][2] * az};
         const double toward[3] = {tx / voxels, ty / voxels, tz / voxels};
         const Ray ray = into_box(lower, upper, start, toward, t_first, t_last);
 #define KEEP(name) rays.name[q] = ray.name;
@@ -345,13 +345,14 @@ static constexpr auto first_crossings = [](int start, int stop, const wp::array_
     }
     find_roots(rays, found, world);
     // The operations of write_hit.
-    const auto& to_index = field.to_index;
-#include "volume/sampling/matrix.inl"
+    const wp::mat33d to_index = field.to_index;
+    const auto& m = to_index.data;
     for (int q = 0; q < G; ++q) {
         const bool none = hit[q] == (double)INFINITY;
         const double t = hit[q] / rays.scale[q], nan = (double)NAN;
-        const double x = m00 * sx[q] + m10 * sy[q] + m20 * sz[q], y = m01 * sx[q] + m11 * sy[q] + m21 * sz[q];
-        const double z = m02 * sx[q] + m12 * sy[q] + m22 * sz[q];
+        const double x = m[0][0] * sx[q] + m[1][0] * sy[q] + m[2][0] * sz[q],
+                     y = m[0][1] * sx[q] + m[1][1] * sy[q] + m[2][1] * sz[q];
+        const double z = m[0][2] * sx[q] + m[1][2] * sy[q] + m[2][2] * sz[q];
         const double size = __builtin_elementwise_sqrt(x * x + y * y + z * z);
         hit[q] = none ? hit[q] : t;
         ox[q] = none ? nan : ox[q] + rx[q] * t;

@@ -4,13 +4,13 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 from geokit.volume.sampling.sample_kernels import has_voxels, nearest_voxel
 
 wp.set_module_options({"enable_backward": False})
 
 
-@wp.func_native(cpp("volume/sampling/is_active.inl"))
+@cpp.func_native("volume/sampling/is_active.inl")
 def is_active(volume: wp.uint64, i: int, j: int, k: int) -> bool:
     """Whether a voxel, or the tile that covers it, is active."""
     ...

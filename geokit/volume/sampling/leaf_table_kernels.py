@@ -11,7 +11,7 @@ The entry of a leaf is its byte offset divided by 32. The entry of a tile is ~(b
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 from geokit.volume.nanovdb.read_voxel_kernels import grid_type_of, is_leaf, node_of
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -43,7 +43,7 @@ class LeafTable:
     first_leaf: int
 
 
-@wp.func_native(cpp("volume/sampling/level_of.inl"))
+@cpp.func_native("volume/sampling/leaf_table.inl")
 def level_of(volume: wp.uint64, i: int, j: int, k: int) -> int:
     """The tree level that holds the value of a voxel: 0 leaf, 1 lower node, 2 upper node, 3 and more the root."""
     ...
@@ -93,7 +93,7 @@ def fill_slots_kernel(
         out_slots[t] = tile_entry(node)
 
 
-@wp.func_native(cpp("volume/sampling/table_voxel.inl"))
+@cpp.func_native("volume/sampling/leaf_table.inl")
 def table_voxel(table: LeafTable, i: int, j: int, k: int) -> wp.float32:
     """The value of voxel (i, j, k), which must lie in the box."""
     ...

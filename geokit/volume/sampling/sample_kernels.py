@@ -48,7 +48,7 @@ def mix(a: Any, b: Any, t: wp.float64):
 
 @wp.func
 def trilinear(c000: Any, c001: Any, c010: Any, c011: Any, c100: Any, c101: Any, c110: Any, c111: Any, f: wp.vec3d):
-    """The trilinear interpolant of a cell at fractions f, with the same sums as trilinear_sums.inl."""
+    """The trilinear interpolant of a cell at fractions f, with the same sums as trilinear.inl."""
     low = mix(mix(c000, c001, f[2]), mix(c010, c011, f[2]), f[1])
     high = mix(mix(c100, c101, f[2]), mix(c110, c111, f[2]), f[1])
     return mix(low, high, f[0])
@@ -58,7 +58,7 @@ def trilinear(c000: Any, c001: Any, c010: Any, c011: Any, c100: Any, c101: Any, 
 def trilinear_slopes(
     c000: Any, c001: Any, c010: Any, c011: Any, c100: Any, c101: Any, c110: Any, c111: Any, f: wp.vec3d
 ):
-    """Derivatives of the trilinear interpolant along each index axis, with the same sums as trilinear_sums.inl."""
+    """Derivatives of the trilinear interpolant along each index axis, with the same sums as trilinear.inl."""
     # Differences come before averages, so that a large common value does not cancel the digits of a small slope.
     return (
         mix(mix(c100 - c000, c101 - c001, f[2]), mix(c110 - c010, c111 - c011, f[2]), f[1]),

@@ -14,7 +14,7 @@ from typing import Any
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 from geokit.volume.nanovdb.read_voxel_kernels import FLOAT_TYPE, grid_type_of, node_of, read_voxel
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
@@ -94,7 +94,7 @@ def weights(basis: Cubic, t: wp.float64) -> wp.mat44d:  # noqa: F811
 
 for _components, _center, _row in ((1, wp.float64, wp.vec4d), (3, wp.vec3d, mat34d), (4, wp.vec4d, wp.mat44d)):
 
-    @wp.func_native(cpp("volume/sampling/stencil_row.inl", defines={"COMPONENTS": str(_components)}))
+    @cpp.func_native("volume/sampling/stencil_row.inl", defines={"COMPONENTS": str(_components)})
     def read_row(
         volume: wp.uint64,
         grid_type: int,
@@ -158,15 +158,19 @@ def voxels_to_border(first: int, count: int) -> int:
 
 
 @wp.func
+def placed(base: wp.vec3d, count: int):
+    """The first voxel of a stencil, and how many of its voxels lie before the leaf borders along j and k."""
+    j = int(base[1]) - 1
+    k = int(base[2]) - 1
+    return int(base[0]) - 1, j, k, voxels_to_border(j, count), voxels_to_border(k, count)
+
+
+@wp.func
 def value_by_rows(volume: wp.uint64, base: wp.vec3d, basis: Any, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d, zero: Any):
     """stencil_value for grids of any type."""
     kind = grid_type_of(volume)
     count = voxels_of(basis)
-    i = int(base[0]) - 1
-    j = int(base[1]) - 1
-    k = int(base[2]) - 1
-    cut_j = voxels_to_border(j, count)
-    cut_k = voxels_to_border(k, count)
+    i, j, k, cut_j, cut_k = placed(base, count)
     center = voxel_at(volume, kind, i + 1, j + 1, k + 1, zero)
     total = zero
     z0 = z[0]
@@ -191,11 +195,7 @@ def gradient_by_rows(
     """stencil_gradient for grids of any type."""
     kind = grid_type_of(volume)
     count = voxels_of(basis)
-    i = int(base[0]) - 1
-    j = int(base[1]) - 1
-    k = int(base[2]) - 1
-    cut_j = voxels_to_border(j, count)
-    cut_k = voxels_to_border(k, count)
+    i, j, k, cut_j, cut_k = placed(base, count)
     center = voxel_at(volume, kind, i + 1, j + 1, k + 1, zero)
     along_i = zero
     along_j = zero
@@ -223,11 +223,7 @@ def hessian_by_rows(volume: wp.uint64, base: wp.vec3d, basis: Any, x: wp.mat44d,
     zero = wp.float64(0.0)
     kind = grid_type_of(volume)
     count = voxels_of(basis)
-    i = int(base[0]) - 1
-    j = int(base[1]) - 1
-    k = int(base[2]) - 1
-    cut_j = voxels_to_border(j, count)
-    cut_k = voxels_to_border(k, count)
+    i, j, k, cut_j, cut_k = placed(base, count)
     center = voxel_at(volume, kind, i + 1, j + 1, k + 1, zero)
     slope = wp.vec3d()
     straight = wp.vec3d()
@@ -258,27 +254,23 @@ def hessian_by_rows(volume: wp.uint64, base: wp.vec3d, basis: Any, x: wp.mat44d,
     return slope, second
 
 
-def _float_sums(derivatives: int, voxels: int) -> str:
-    return cpp("volume/sampling/stencil_float.inl", defines={"DERIVATIVES": str(derivatives)}, count=voxels)
-
-
 for _basis, _voxels in ((Quadratic, 3), (Cubic, 4)):
 
-    @wp.func_native(_float_sums(0, _voxels))
+    @cpp.func_native("volume/sampling/stencil_float.inl", count=_voxels)
     def float_value(
         volume: wp.uint64, i: int, j: int, k: int, basis: _basis, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d
     ) -> wp.float64:
         """stencil_value for float grids; (i, j, k) is the first voxel of the stencil."""
         ...
 
-    @wp.func_native(_float_sums(1, _voxels))
+    @cpp.func_native("volume/sampling/stencil_float.inl", count=_voxels)
     def float_gradient(
         volume: wp.uint64, i: int, j: int, k: int, basis: _basis, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d
     ) -> wp.vec3d:
         """stencil_gradient for float grids."""
         ...
 
-    @wp.func_native(_float_sums(2, _voxels))
+    @cpp.func_native("volume/sampling/stencil_float.inl", count=_voxels)
     def float_hessian(
         volume: wp.uint64, i: int, j: int, k: int, basis: _basis, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d
     ) -> vec9d:

@@ -10,14 +10,14 @@ from typing import Any
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 from geokit.volume.sampling.leaf_table_kernels import LeafTable
 from geokit.volume.sampling.sample_kernels import linear_differences, linear_value, world_gradient
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
 
 
-@wp.func_native(cpp("volume/sampling/trilinear_cells.inl", defines={"FIRST_TABLE": "table", "GRADIENT": "2"}))
+@cpp.func_native("volume/sampling/trilinear.inl")
 def value_and_slopes(table: LeafTable, u: wp.vec3d, to_index: wp.mat33d) -> wp.vec4d:
     """The value at index coordinates, then the gradient; NaN where the table does not answer."""
     ...

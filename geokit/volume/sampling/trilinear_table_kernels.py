@@ -14,7 +14,7 @@ from typing import Any
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 from geokit.volume.sampling.leaf_table_kernels import LeafTable
 from geokit.volume.sampling.sample_kernels import linear_differences, linear_value, world_gradient
 
@@ -24,24 +24,12 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": Fal
 GROUP = wp.constant(64)
 
 
-def _cells(gradient: int, real: str | None = None) -> str:
-    defines = {"FIRST_TABLE": "table", "GRADIENT": str(gradient)}
-    if real is not None:
-        defines["REAL"] = real
-    return cpp("volume/sampling/trilinear_cells.inl", defines=defines)
+# Points and answers: values and gradients, of each precision.
+ANSWERS = ((wp.vec3d, wp.float64), (wp.vec3f, wp.float32), (wp.vec3d, wp.vec3d), (wp.vec3f, wp.vec3f))
 
+for _point, _answer in ANSWERS:
 
-# Values (0) and gradients (1), with points and answers of each precision.
-ANSWERS = (
-    (0, "double", wp.vec3d, wp.float64),
-    (0, "float", wp.vec3f, wp.float32),
-    (1, "double", wp.vec3d, wp.vec3d),
-    (1, "float", wp.vec3f, wp.vec3f),
-)
-
-for _gradient, _real, _point, _answer in ANSWERS:
-
-    @wp.func_native(_cells(_gradient, _real))
+    @cpp.func_native("volume/sampling/trilinear_cpu.inl")
     def interpolate_group(
         table: LeafTable,
         start: int,
@@ -56,13 +44,13 @@ for _gradient, _real, _point, _answer in ANSWERS:
 
 
 # Overloads: values or gradients, by the type of the last argument.
-@wp.func_native(_cells(0))
+@cpp.func_native("volume/sampling/trilinear.inl", function="table_value")
 def interpolate_single(table: LeafTable, u: wp.vec3d, to_index: wp.mat33d, background: wp.float64) -> wp.float64:
     """The answer at index coordinates; NaN where the table does not answer."""
     ...
 
 
-@wp.func_native(_cells(1))
+@cpp.func_native("volume/sampling/trilinear.inl", function="table_slopes")
 def interpolate_single(  # noqa: F811
     table: LeafTable, u: wp.vec3d, to_index: wp.mat33d, background: wp.vec3d
 ) -> wp.vec3d: ...
