@@ -16,7 +16,7 @@ from geokit.render._chart import COLORS, MARKERS
 from geokit.render._image import new_figure, save_figure
 from geokit.render.looks.checks import FLAT, checked_size, checked_target
 
-__all__ = ["FRONT_STYLES", "MOST_LABELS", "Cloud", "decade_ticks", "pareto_chart", "power_text"]
+__all__ = ["FRONT_STYLES", "MOST_LABELS", "Cloud", "decade_ticks", "pareto_chart", "plain_text", "power_text"]
 
 # Line styles of the fronts of the first, second, ... device.
 FRONT_STYLES = ("solid", "dashed", "dotted", "dashdot")
@@ -115,15 +115,15 @@ def pareto_chart(
         xs, ys = _numbers(name or f"front {number}", x, y)
         # A step, not a slope: until there is time for the next setting, the error of this one is the best.
         axis.step(xs, ys, where="post", color="0.3", linewidth=1.2, zorder=2,
-                  linestyle=FRONT_STYLES[number % len(FRONT_STYLES)], label=_plain(name) or None)  # fmt: skip
+                  linestyle=FRONT_STYLES[number % len(FRONT_STYLES)], label=plain_text(name) or None)  # fmt: skip
         for letter, at_x, at_y in zip(letters, xs, ys, strict=True):
             axis.annotate(letter, (at_x, at_y), xytext=(5, 5), textcoords="offset points", fontsize=9, weight="bold")
     for cloud in clouds:
         _draw(axis, cloud)
-    axis.set_title(_plain(title), loc="left", fontsize=11)
+    axis.set_title(plain_text(title), loc="left", fontsize=11)
     _beside(figure, axis, entries)
     if footer:
-        figure.text(0.01, 0.01, _plain(footer), fontsize=7, color="0.4")
+        figure.text(0.01, 0.01, plain_text(footer), fontsize=7, color="0.4")
     return save_figure(figure, target)
 
 
@@ -165,7 +165,7 @@ def _draw(axis: Any, cloud: Cloud) -> None:
     if cloud.name:
         # The legend has a mark of its own, because the first mark may be hollow.
         axis.scatter([], [], s=34, marker=marker, facecolor=color, edgecolor=edge, linewidth=1.1,
-                     label=_plain(cloud.name))  # fmt: skip
+                     label=plain_text(cloud.name))  # fmt: skip
 
 
 def style_of(number: int) -> tuple[str, str]:
@@ -181,13 +181,13 @@ def _beside(figure: Any, axis: Any, entries: Sequence[str]) -> None:
     blank = Line2D([], [], linestyle="none")
     cut = [entry if len(entry) <= LONGEST_ENTRY else entry[: LONGEST_ENTRY - 1] + "…" for entry in entries]
     handles += [blank] * len(cut)
-    names += [_plain(entry) for entry in cut]
+    names += [plain_text(entry) for entry in cut]
     if handles:
         at = 1.0 - LIST_PIXELS / figure.bbox.width
         figure.legend(handles, names, loc="upper left", bbox_to_anchor=(at, 0.98), frameon=False, fontsize=8)
 
 
-def _plain(text: str) -> str:
+def plain_text(text: str) -> str:
     """Escape text so that matplotlib does not parse it as a formula."""
     return text.replace("$", r"\$")
 

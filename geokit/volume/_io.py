@@ -140,15 +140,16 @@ def load(
     path = _known(path, trusted)
     if grid is not None:
         require_text(grid, "grid")
+    how = {"background": background, "tolerance": tolerance, "grid_type": grid_type}
     if bounds is None:
-        return _load(path, grid, background, tolerance, grid_type, trusted, memory_limit)
+        return _load(path, grid, how, trusted, memory_limit)
     box = require_box(bounds)
     if extension(path) == ".nvdb":
-        _is_dense(path, background, tolerance, grid_type)
+        _is_dense(path, **how)
         index = _index_of(grid, unique_names(file.names(path)), path)
         found = _from_nvdb(file.read_part(path, index, lambda info: _voxels_of(info, box), memory_limit=memory_limit))
         return clip(found, box)
-    return clip(_load(path, grid, background, tolerance, grid_type, trusted, memory_limit), box)
+    return clip(_load(path, grid, how, trusted, memory_limit), box)
 
 
 def _voxels_of(info: GridInfo, box: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -160,19 +161,11 @@ def _voxels_of(info: GridInfo, box: NDArray[np.float64]) -> tuple[NDArray[np.int
     return np.floor(index.min(axis=0)).astype(np.int64) - 1, np.ceil(index.max(axis=0)).astype(np.int64) + 1
 
 
-def _load(
-    path: Path,
-    grid: str | None,
-    background: Any,
-    tolerance: float,
-    grid_type: str | None,
-    trusted: bool,
-    memory_limit: int | None,
-) -> SparseVolume:
-    if _is_dense(path, background, tolerance, grid_type):
+def _load(path: Path, grid: str | None, how: dict[str, Any], trusted: bool, memory_limit: int | None) -> SparseVolume:
+    if _is_dense(path, **how):
         images = _images(path, memory_limit)
         image = images[_index_of(grid, unique_names([info_of_image(one, path).name for one in images]), path)]
-        return _of_image(image, path, background, tolerance, grid_type, memory_limit)
+        return _of_image(image, path, how, memory_limit)
     if extension(path) in STAGES:
         return _read_stage(path, trusted, memory_limit, lambda names: [_index_of(grid, names, path)])[0]
     if extension(path) == ".nvdb":
@@ -226,9 +219,9 @@ def load_all(
         DeviceMemoryError: The content is larger than memory_limit.
     """
     path = _known(path, trusted)
-    if _is_dense(path, background, tolerance, grid_type):
-        images = _images(path, memory_limit)
-        volumes = [_of_image(image, path, background, tolerance, grid_type, memory_limit) for image in images]
+    how = {"background": background, "tolerance": tolerance, "grid_type": grid_type}
+    if _is_dense(path, **how):
+        volumes = [_of_image(image, path, how, memory_limit) for image in _images(path, memory_limit)]
     elif extension(path) in STAGES:
         volumes = _read_stage(path, trusted, memory_limit, lambda names: list(range(len(names))))
     elif extension(path) == ".nvdb":
@@ -393,10 +386,8 @@ def _kind(path: Path) -> str:
     return volume_kind(path) or extension(path)
 
 
-def _of_image(
-    image: Image, path: Path, background: Any, tolerance: float, grid_type: str | None, memory_limit: int | None
-) -> SparseVolume:
-    how: Any = {"background": background, "tolerance": float(tolerance), "grid_type": grid_type}
+def _of_image(image: Image, path: Path, how: dict[str, Any], memory_limit: int | None) -> SparseVolume:
+    how = how | {"tolerance": float(how["tolerance"])}
     return volume_of_image(image, path, **how, limit=content_limit(size_of(path), memory_limit, held=False))
 
 

@@ -14,7 +14,7 @@ from geokit.accuracy.charts.mesh_setup import SEED
 from geokit.accuracy.reference import mesh as reference
 from geokit.accuracy.trials.held_bytes import held_bytes
 from geokit.accuracy.trials.model import Chart, Judgement, Trial
-from geokit.accuracy.trials.running import failed, judged, on_host, send, setting_of, without_warnings
+from geokit.accuracy.trials.running import failed, judged, on_host, send, setting_of, unit, without_warnings
 from geokit.errors import GeokitError
 
 if TYPE_CHECKING:
@@ -117,14 +117,9 @@ def _of_volumes(setup: MeshSetup, rays: Rays, judge: Callable[[Any], Judgement])
 def _aimed(setup: MeshSetup, targets: Floats, rows: NDArray[np.int64]) -> Rays:
     """Rays towards the targets from a sphere around the mesh."""
     rng = np.random.default_rng(SEED + 3)
-    outward = _unit(rng.normal(size=targets.shape))
+    outward = unit(rng.normal(size=targets.shape))
     origins = setup.mesh.bounds.mean(axis=0) + START * setup.size * outward
-    return Rays(origins, _unit(targets - origins), rows)
-
-
-def _unit(rows: Floats) -> Floats:
-    length = np.linalg.norm(rows, axis=1, keepdims=True)
-    return np.asarray(rows / np.where(length > 0.0, length, 1.0))
+    return Rays(origins, unit(targets - origins), rows)
 
 
 def _in_box(setup: MeshSetup) -> Floats:
@@ -153,7 +148,7 @@ def _undoubted(setup: MeshSetup, rays: Rays, inward: Floats) -> Known:
     # The coordinate axis with the smallest component is never parallel to the direction.
     u = np.cross(directions, np.eye(3)[np.abs(directions).argmin(axis=1)])
     turns = 2.0 * np.pi * np.arange(AROUND) / AROUND
-    ways = [_unit(inward), *(np.cos(turn) * _unit(u) + np.sin(turn) * np.cross(directions, _unit(u)) for turn in turns)]
+    ways = [unit(inward), *(np.cos(turn) * unit(u) + np.sin(turn) * np.cross(directions, unit(u)) for turn in turns)]
     counts = np.ones(len(known), bool)
     for way in ways:
         counts &= _apart(known, _hits(setup, origins + ASIDE * setup.size * way, rays)) <= TOUCH * setup.size

@@ -12,7 +12,7 @@ from geokit.accuracy.charts.sampling import ORDERS, query_trial, volume_trials
 from geokit.accuracy.charts.volume_setup import QUICK_CODECS, known_codecs
 from geokit.accuracy.reference import mesh as reference
 from geokit.accuracy.trials.model import Chart, Judgement, Trial
-from geokit.accuracy.trials.running import angles, failed, judged, on_host, send
+from geokit.accuracy.trials.running import angles, failed, judged, on_host, send, unit
 
 if TYPE_CHECKING:
     from geokit.accuracy.charts.volume_points import VolumePoints
@@ -53,7 +53,7 @@ def _sdf_trials(near: NearSurface) -> Iterator[Trial]:
         chosen = known.take(_is_smooth(near.oriented, known, voxel_size))
         if not len(chosen.rows):
             continue
-        outward = _directions(chosen.points, chosen.closest) * np.sign(chosen.distance)[:, None]
+        outward = unit(chosen.points - chosen.closest) * np.sign(chosen.distance)[:, None]
 
         def judge(answer: Any, chosen: Known = chosen, outward: NDArray[np.float64] = outward) -> Judgement:
             return judged(angles(on_host(answer)[chosen.rows], outward), chosen.points)
@@ -67,13 +67,6 @@ def _sdf_trials(near: NearSurface) -> Iterator[Trial]:
             yield query_trial("gradient", {"voxel_size": voxel_size, "order": order}, band, points, judge, near.device)
 
 
-def _directions(points: NDArray[np.float64], closest: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Unit vectors from the closest points to the points; zero where the two coincide."""
-    apart = points - closest
-    length = np.linalg.norm(apart, axis=-1, keepdims=True)
-    return apart / np.where(length > 0.0, length, 1.0)
-
-
 def _is_smooth(mesh: TriangleMesh, known: Known, voxel_size: float) -> NDArray[np.bool_]:
     """Mask of points within whose stencil the closest face and the direction to it turn by little."""
     corners = REACH * voxel_size * (2.0 * np.array(list(np.ndindex(2, 2, 2))) - 1.0)
@@ -83,7 +76,7 @@ def _is_smooth(mesh: TriangleMesh, known: Known, voxel_size: float) -> NDArray[n
     least = np.cos(np.radians(TURN))
     normal = (normals[known.triangle_id][:, None] * normals[found.triangle_id].reshape(-1, CORNERS, 3)).sum(axis=2)
     # In either direction: the corners lie on both sides of the surface.
-    here, there = _directions(known.points, known.closest), _directions(around, found.points).reshape(-1, CORNERS, 3)
+    here, there = unit(known.points - known.closest), unit(around - found.points).reshape(-1, CORNERS, 3)
     turned = np.abs((here[:, None] * there).sum(axis=2))
     defined = np.abs(known.distance) > NEAREST * mesh.diagonal
     return defined & (normal >= least).all(axis=1) & (turned >= least).all(axis=1)

@@ -57,6 +57,7 @@ def sweep_figure(
         The path that was written.
     """
     from geokit.render._image import new_figure
+    from geokit.render._pareto_chart import plain_text
 
     figure = new_figure(SIZE)
     # Placed by hand, because a layout engine would draw everything twice for the same result.
@@ -67,7 +68,7 @@ def sweep_figure(
     if y_label is not None:
         upper = figure.add_axes((0.15, 0.35, 0.82, 0.57), sharex=lower)
         _draw_errors(upper, x, np.asarray(errors), np.asarray(refused), np.asarray(covered), np.asarray(promised))
-        upper.set_ylabel(_plain(y_label))
+        upper.set_ylabel(plain_text(y_label))
         upper.tick_params(labelbottom=False)
         axes.append(upper)
     share = np.where(np.asarray(refused), np.nan, np.asarray(wrong, dtype=np.float64))
@@ -81,10 +82,10 @@ def sweep_figure(
         lower.plot(x[turned_down], np.zeros(int(turned_down.sum())), linestyle="none", marker="x", color="black",
                    label="refused")  # fmt: skip
         lower.legend(frameon=False, fontsize=7.5, loc="upper left")
-    lower.set(xlabel=_plain(x_label), ylabel="wrong [%]")
+    lower.set(xlabel=plain_text(x_label), ylabel="wrong [%]")
     largest = float(np.nanmax(100.0 * share, initial=0.0))
     lower.set_ylim(-0.05 * max(largest, 1.0), 1.1 * max(largest, 1.0))
-    axes[-1].set_title(_plain(title), loc="left", fontsize=10)
+    axes[-1].set_title(plain_text(title), loc="left", fontsize=10)
     for axis in axes:
         axis.grid(visible=True, which="major", color="0.9", linewidth=0.6)
         axis.set_axisbelow(True)
@@ -158,10 +159,6 @@ def _draw_errors(
         axis.plot(x[refused], np.full(int(refused.sum()), ceiling), linestyle="none", marker="x", color="black",
                   label="refused")  # fmt: skip
     axis.legend(frameon=False, fontsize=7.5, loc="upper left")
-
-
-def _plain(text: str) -> str:
-    return text.replace("$", r"\$")
 
 
 def _save(figure: Any, path: Path) -> Path:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from geokit.accuracy.trials.model import Judgement, Trial
 
-__all__ = ["angles", "failed", "judged", "on_host", "send", "setting_of", "without_warnings"]
+__all__ = ["angles", "failed", "judged", "on_host", "send", "setting_of", "unit", "without_warnings"]
 
 Floats = NDArray[np.float64]
 
@@ -47,6 +47,12 @@ def angles(a: Floats, b: Floats) -> Floats:
     lengths = np.linalg.norm(a, axis=1) * np.linalg.norm(b, axis=1)
     angle = np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1)))
     return np.where(lengths > 0.0, angle, np.nan)
+
+
+def unit(rows: Floats) -> Floats:
+    """Vectors (..., 3) of length 1; zero where they are zero."""
+    length = np.linalg.norm(rows, axis=-1, keepdims=True)
+    return np.asarray(rows / np.where(length > 0.0, length, 1.0))
 
 
 def setting_of(parameters: Mapping[str, Any]) -> str:
