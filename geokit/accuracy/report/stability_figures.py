@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.accuracy.trials.model import Sweep
 from geokit.core.files import atomic_path
 
-__all__ = ["sweep_figure"]
+__all__ = ["NO_UNIT", "sweep_figure"]
 
 SIZE = (520, 400)
+# Unit of sweeps whose answers are only right or wrong.
+NO_UNIT = "none"
 # Number of colors in the file's palette: two lines, a shade and gray text need no more.
 PALETTE = 32
 ERROR_COLOR, WRONG_COLOR, ENVELOPE_COLOR = "#0072B2", "#D55E00", "#009E73"
@@ -23,69 +26,52 @@ GAP = 1.0
 LONE_FLOOR = 1e-16
 
 
-def sweep_figure(
-    path: Path,
-    *,
-    values: Sequence[float],
-    errors: Sequence[float],
-    wrong: Sequence[float],
-    refused: Sequence[bool],
-    covered: Sequence[float],
-    promised: Sequence[float],
-    allowed: float,
-    x_label: str,
-    y_label: str | None,
-    title: str,
-    logarithmic: bool,
-) -> Path:
+def sweep_figure(path: Path, sweep: Sweep, outcomes: Sequence[Any], promised: Mapping[float, float]) -> Path:
     """Draw one sweep.
 
     Args:
         path: Target, a .png, .svg or .pdf file.
-        values: Values of the parameter.
-        errors: Largest error at each value; NaN if there is none.
-        wrong: Share of wrong answers at each value.
-        refused: Whether the method raised an error at each value.
-        covered: Values inside the envelope.
-        promised: Largest allowed error at each of those values.
-        allowed: Largest allowed share of wrong answers there.
-        x_label: The parameter, with its unit.
-        y_label: The quantity and unit of the errors; None if answers are only right or wrong.
-        title: Title of the figure.
-        logarithmic: Whether the parameter's axis is logarithmic.
+        sweep: The sweep.
+        outcomes: What was found at its values: ``value``, ``max_error``, ``wrong_share`` and ``refusal`` of each.
+        promised: The largest allowed error at each value inside the envelope.
     Returns:
         The path that was written.
     """
     from geokit.render._image import new_figure
     from geokit.render._pareto_chart import plain_text
 
+    x, errors, wrong = (
+        np.array([getattr(outcome, name) for outcome in outcomes], np.float64)
+        for name in ("value", "max_error", "wrong_share")
+    )
+    refused = np.array([bool(outcome.refusal) for outcome in outcomes])
+    covered, most = np.array(list(promised)), np.array(list(promised.values()))
+    has_errors, allowed = sweep.unit != NO_UNIT, sweep.envelope.wrong_share
     figure = new_figure(SIZE)
     # Placed by hand, because a layout engine would draw everything twice for the same result.
-    x = np.asarray(values, dtype=np.float64)
-    lower = figure.add_axes((0.15, 0.13, 0.82, 0.79 if y_label is None else 0.18))
-    _scale(lower, x, logarithmic)
+    lower = figure.add_axes((0.15, 0.13, 0.82, 0.18 if has_errors else 0.79))
+    _scale(lower, x, sweep.logarithmic)
     axes = [lower]
-    if y_label is not None:
+    if has_errors:
         upper = figure.add_axes((0.15, 0.35, 0.82, 0.57), sharex=lower)
-        _draw_errors(upper, x, np.asarray(errors), np.asarray(refused), np.asarray(covered), np.asarray(promised))
-        upper.set_ylabel(plain_text(y_label))
+        _draw_errors(upper, x, errors, refused, covered, most)
+        upper.set_ylabel(plain_text(f"largest error [{sweep.unit}]"))
         upper.tick_params(labelbottom=False)
         axes.append(upper)
-    share = np.where(np.asarray(refused), np.nan, np.asarray(wrong, dtype=np.float64))
+    share = np.where(refused, np.nan, wrong)
     lower.plot(x, 100.0 * share, color=WRONG_COLOR, marker="s", markersize=4, linewidth=1.2)
     if len(covered):
         # Starts below zero, so that a promise of zero is visible.
-        bottom = -100.0 if y_label is None else -2.0
+        bottom = -2.0 if has_errors else -100.0
         lower.fill_between(covered, bottom, 100.0 * allowed, color=ENVELOPE_COLOR, alpha=0.2, linewidth=0)
-    turned_down = np.asarray(refused, dtype=bool)
-    if y_label is None and turned_down.any():
-        lower.plot(x[turned_down], np.zeros(int(turned_down.sum())), linestyle="none", marker="x", color="black",
+    if not has_errors and refused.any():
+        lower.plot(x[refused], np.zeros(int(refused.sum())), linestyle="none", marker="x", color="black",
                    label="refused")  # fmt: skip
         lower.legend(frameon=False, fontsize=7.5, loc="upper left")
-    lower.set(xlabel=plain_text(x_label), ylabel="wrong [%]")
+    lower.set(xlabel=plain_text(sweep.parameter), ylabel="wrong [%]")
     largest = float(np.nanmax(100.0 * share, initial=0.0))
     lower.set_ylim(-0.05 * max(largest, 1.0), 1.1 * max(largest, 1.0))
-    axes[-1].set_title(plain_text(title), loc="left", fontsize=10)
+    axes[-1].set_title(plain_text(sweep.method), loc="left", fontsize=10)
     for axis in axes:
         axis.grid(visible=True, which="major", color="0.9", linewidth=0.6)
         axis.set_axisbelow(True)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from geokit.accuracy.report.folder import FORMATS as FIGURE_FORMATS
-from geokit.accuracy.report.stability_figures import sweep_figure
+from geokit.accuracy.report.stability_figures import NO_UNIT, sweep_figure
 from geokit.accuracy.trials.model import Sweep
 from geokit.accuracy.trials.time_left import time_left
 from geokit.core import launcher
@@ -38,8 +38,6 @@ shares no code with the method. The promise holds up to the last value of the en
 `tests/accuracy/stability/test_envelopes.py` asserts; beyond it, nothing is promised. In the figures the envelope is
 shaded, exact answers lie on the lowest line, and crosses mark values at which the method refuses with a named error.
 The step of the granular example is swept in docs/granular.md."""
-# Unit of sweeps whose answers are only right or wrong.
-NO_UNIT = "none"
 PAGE, FIGURES = "stability.md", Path("figures") / "stability"
 
 
@@ -181,7 +179,8 @@ def write_stability(
             left = time_left(started, number, len(found), "sweeps")
             progress(f"{number + 1}/{len(found)} {sweep.name}: {sweep.method}, {sweep.parameter}{left}")
         outcomes.append(follow(sweep))
-        _draw(folder / FIGURES / f"{sweep.name}.{figure_format}", sweep, outcomes[-1])
+        allowed = {value: promised(sweep, value) for value in sweep.values if inside(sweep, value)}
+        sweep_figure(folder / FIGURES / f"{sweep.name}.{figure_format}", sweep, outcomes[-1], allowed)
     with atomic_path(page) as part:
         part.write_text(_page(found, outcomes, figure_format), encoding="utf-8")
     return page
@@ -198,24 +197,6 @@ def check_page(folder: str | os.PathLike[str], *, force: bool) -> Path:
     if is_there(page) and not force:
         raise InputError(f"{page}: exists already; add --force (force=True) to replace it")
     return page
-
-
-def _draw(path: Path, sweep: Sweep, outcomes: Sequence[Outcome]) -> None:
-    covered = [value for value in sweep.values if inside(sweep, value)]
-    sweep_figure(
-        path,
-        values=[outcome.value for outcome in outcomes],
-        errors=[outcome.max_error for outcome in outcomes],
-        wrong=[outcome.wrong_share for outcome in outcomes],
-        refused=[bool(outcome.refusal) for outcome in outcomes],
-        covered=covered,
-        promised=[promised(sweep, value) for value in covered],
-        allowed=sweep.envelope.wrong_share,
-        x_label=sweep.parameter,
-        y_label=None if sweep.unit == NO_UNIT else f"largest error [{sweep.unit}]",
-        title=f"{sweep.method}",
-        logarithmic=sweep.logarithmic,
-    )
 
 
 def _page(found: Sequence[Sweep], outcomes: Sequence[Sequence[Outcome]], figure_format: str) -> str:
