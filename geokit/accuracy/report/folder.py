@@ -7,8 +7,9 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from geokit.accuracy.report.front_figure import front_figure
 from geokit.accuracy.report.html import page
-from geokit.accuracy.report.plot import Plot, plot_of
+from geokit.accuracy.report.plot import plot_of
 from geokit.accuracy.report.table import read_table, write_table
 from geokit.accuracy.trials.machine import machine_facts, machine_line, version_facts
 from geokit.accuracy.trials.model import Measurement
@@ -72,7 +73,8 @@ def write_report(
             (made / FIGURES).mkdir()
             line = machine_line(results.machine or machine_facts())
             for group in groups:
-                _figure(made / FIGURES / f"{group.slug}.{figure_format}", group, line)
+                if (plot := plot_of(group)).marks:
+                    front_figure(made / FIGURES / f"{group.slug}.{figure_format}", group, plot, line)
             _write_page(made / PAGE, groups, results, pictures)
             _publish(made, folder)
     except OSError as error:
@@ -108,56 +110,6 @@ def _write_page(target: Path, groups: list[Group], results: Results, pictures: b
         failures.append(Failure("maps of the errors", "", "", "", "", reason))
     machine, versions = results.machine or machine_facts(), results.versions or version_facts()
     target.write_text(page(groups, failures, drawn, machine, versions), encoding="utf-8")
-
-
-def _figure(target: Path, group: Group, machine: str) -> None:
-    from geokit.accuracy.report.text import error_text, seconds_text, share_text, tick_text
-    from geokit.render._pareto_chart import Cloud, pareto_chart
-
-    plot = plot_of(group)
-    if not plot.marks:
-        return
-    clouds: list[Cloud] = []
-    for device in range(len(plot.devices)):
-        for method, name in enumerate(plot.methods):
-            marks = [mark for mark in plot.marks if (mark.method, mark.device) == (method, device)]
-            first = all(mark.device >= device for mark in plot.marks if mark.method == method)
-            if marks:
-                x, y = [mark.x for mark in marks], [mark.y for mark in marks]
-                clouds.append(Cloud(name if first else "", method, x, y, [mark.hollow for mark in marks], device > 0))
-    fronts = [
-        (f"front on {alias}", [mark.x for mark in front], [mark.y for mark in front], [mark.letter for mark in front])
-        for alias, front in zip(plot.devices, plot.fronts, strict=True)
-    ]
-    wrong = group.chart.vertical == "wrong"
-    # The setting last, because a narrow list cuts off the end.
-    entries = [
-        f"{mark.letter}  {seconds_text(mark.x)}, "
-        + (share_text(mark.row.wrong_share) if wrong else error_text(mark.row.max_error))
-        + f": {mark.row.setting or mark.row.method}"
-        for front in plot.fronts
-        for mark in front
-    ]
-    pareto_chart(
-        target,
-        clouds,
-        fronts,
-        x_label=plot.x_label,
-        x_text=tick_text,
-        y_label=plot.y_label,
-        x_range=plot.x_range,
-        y_range=plot.y_range,
-        y_ticks=plot.y_ticks,
-        lines=_levels(plot),
-        entries=entries,
-        title=f"{group.chart.title}: {group.subject}",
-        footer=machine,
-    )
-
-
-def _levels(plot: Plot) -> list[tuple[float, str]]:
-    levels = ((plot.floor, plot.floor_name), (plot.ceiling, "not finite"))
-    return [(height, name) for height, name in levels if height is not None]
 
 
 def _publish(made: Path, folder: Path) -> None:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from html import escape
 
-from geokit.accuracy.report.plot import Mark, Plot, tip_of
-from geokit.accuracy.report.text import tick_text
+from geokit.accuracy.report.plot import Mark, Plot, decade_ticks, tip_of
+from geokit.accuracy.report.text import power_text, tick_text
 from geokit.render._chart import COLORS
-from geokit.render._pareto_chart import decade_ticks, power_text
 
 __all__ = ["legend", "svg"]
 

@@ -9,9 +9,8 @@ from geokit.accuracy.report.pareto import cost_of, front_of
 from geokit.accuracy.report.text import bytes_text, error_text, rate_text, seconds_text, share_text
 from geokit.accuracy.trials.model import Measurement
 from geokit.accuracy.trials.results import Group
-from geokit.render._pareto_chart import MOST_LABELS, decade_ticks
 
-__all__ = ["Mark", "Plot", "named_ticks", "plot_of", "tip_of"]
+__all__ = ["Mark", "Plot", "decade_ticks", "named_ticks", "plot_of", "tip_of"]
 
 # Decades of space beyond the outermost marks.
 MARGIN = 0.18
@@ -24,6 +23,8 @@ TICK_CLEARANCE = 2.0
 LONE_FLOOR = 1e-16
 # Least number of decades of an axis: noise should not look like a trend.
 FEWEST_DECADES = 1.0
+# An axis with more decades labels only some of them; one with fewer decades has ticks at 2 and 5 too.
+MOST_LABELS, FEW_DECADES = 12, 2
 
 
 class Mark(NamedTuple):
@@ -128,6 +129,18 @@ def named_ticks(
     low = 0.0 if floor is None else TICK_CLEARANCE * floor
     high = math.inf if ceiling is None else ceiling / TICK_CLEARANCE
     return [tick for tick in decade_ticks(ends, most) if low < tick < high]
+
+
+def decade_ticks(ends: tuple[float, float], most: int = MOST_LABELS) -> list[float]:
+    """Powers of ten within the ends of a logarithmic axis, at most ``most``; with few decades, 2 and 5 as well."""
+    low, high = (math.log10(end) for end in ends)
+    decades = range(math.ceil(low), math.floor(high) + 1)
+    if len(decades) >= FEW_DECADES:
+        step = -(-len(decades) // most)
+        return [float(f"1e{exponent}") for exponent in decades if exponent % step == 0]
+    exponents = range(math.floor(low), math.ceil(high) + 1)
+    fine = [float(f"{digit}e{exponent}") for exponent in exponents for digit in (1, 2, 5)]
+    return [value for value in fine if ends[0] <= value <= ends[1]]
 
 
 def _letters(group: Group, devices: list[str]) -> dict[int, str]:

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.accuracy.report.plot import decade_ticks, named_ticks
+from geokit.accuracy.report.text import plain_text, power_text
 from geokit.accuracy.trials.model import Sweep
 from geokit.core.files import atomic_path
 
@@ -38,7 +40,6 @@ def sweep_figure(path: Path, sweep: Sweep, outcomes: Sequence[Any], promised: Ma
         The path that was written.
     """
     from geokit.render._image import new_figure
-    from geokit.render._pareto_chart import plain_text
 
     x, errors, wrong = (
         np.array([getattr(outcome, name) for outcome in outcomes], np.float64)
@@ -85,8 +86,6 @@ def sweep_figure(path: Path, sweep: Sweep, outcomes: Sequence[Any], promised: Ma
 
 def _scale(axis: Any, x: NDArray[np.float64], logarithmic: bool) -> None:
     """A logarithmic axis with plain tick labels, if any value is positive."""
-    from geokit.render._pareto_chart import decade_ticks, power_text
-
     positive = np.abs(x[x != 0.0])
     if not logarithmic or (x < 0.0).any() or len(positive) == 0:
         return
@@ -114,9 +113,6 @@ def _draw_errors(
     covered: NDArray[np.float64],
     promised: NDArray[np.float64],
 ) -> None:
-    from geokit.accuracy.report.plot import named_ticks
-    from geokit.render._pareto_chart import power_text
-
     known = ~np.isnan(errors) & ~refused
     usual = np.concatenate([errors, promised])
     usual = usual[np.isfinite(usual) & (usual > 0.0)]

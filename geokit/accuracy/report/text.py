@@ -4,7 +4,16 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["bytes_text", "error_text", "rate_text", "seconds_text", "share_text", "tick_text"]
+__all__ = [
+    "bytes_text",
+    "error_text",
+    "plain_text",
+    "power_text",
+    "rate_text",
+    "seconds_text",
+    "share_text",
+    "tick_text",
+]
 
 _TIMES = ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs"), (1e-9, "ns"))
 _RATES = ((1e9, " G"), (1e6, " M"), (1e3, " k"))
@@ -44,6 +53,17 @@ def error_text(error: float) -> str:
     if math.isinf(error):
         return "not finite"
     return "exact" if error == 0.0 else f"{error:.3g}"
+
+
+def power_text(value: float) -> str:
+    """Format a number briefly: "1e-7", "2e-4", "0.01", "1"."""
+    text = f"{value:g}" if 1e-3 <= value < 1e4 else f"{value:.0e}"
+    return text.replace("e-0", "e-").replace("e+0", "e").replace("e+", "e")
+
+
+def plain_text(text: str) -> str:
+    """Text that matplotlib does not parse as a formula."""
+    return text.replace("$", r"\$")
 
 
 def share_text(share: float) -> str:

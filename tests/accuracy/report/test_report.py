@@ -21,7 +21,6 @@ from geokit.accuracy.report.text import bytes_text, error_text, rate_text, secon
 from geokit.accuracy.trials.results import grouped
 from geokit.errors import FileAccessError, GeokitError, InputError, MissingDependencyError
 from geokit.mesh import TriangleMesh
-from geokit.render._pareto_chart import Cloud, pareto_chart
 
 NASTY = "<script>alert('x')</script> & \"quotes\" $x_1$"
 TETRAHEDRON = TriangleMesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
@@ -358,14 +357,9 @@ def test_a_folder_where_none_can_be_made(results, tmp_path):
 # Figures and numbers.
 
 
-def test_the_figure_refuses_what_it_cannot_draw(tmp_path):
-    axes = {"x_label": "t", "y_label": "e", "x_range": (1e-3, 1.0), "y_range": (1e-3, 1.0)}
-    with pytest.raises(InputError, match="equally many"):
-        pareto_chart(tmp_path / "a.png", [Cloud("c", 0, [0.1], [0.1, 0.2])], [], **axes)
-    with pytest.raises(InputError, match="not finite and positive"):
-        pareto_chart(tmp_path / "a.png", [Cloud("c", 0, [0.1], [0.0])], [], **axes)
-    with pytest.raises(InputError, match="png"):
-        pareto_chart(tmp_path / "a.jpg", [], [], **axes)
+def test_figures_have_a_format_that_matplotlib_writes(results, tmp_path):
+    with pytest.raises(InputError, match="figure_format"):
+        write_report(results, tmp_path / "report", pictures=False, figure_format="jpg")
     assert list(tmp_path.iterdir()) == []
 
 
