@@ -227,12 +227,16 @@ def figure(
     with signals_held():  # it imports modules of VTK, which crash where an interrupt comes within
         plotter = pv.Plotter(off_screen=True, window_size=(width, height), lighting="light kit")
     shown = _Look(colormap, value_limits, label, height, {})
+    material: dict[str, Any] = {"opacity": opacity, **_MATERIAL}
+    if edges:
+        # Super-sampling halves the width that VTK is given.
+        material |= {"show_edges": True, "edge_color": EDGE_COLOR, "line_width": 2.0 * max(1.0, height / 900)}
     try:
         plotter.set_background("white")
         if mesh is not None:
-            _add_mesh(pv, plotter, mesh, color, opacity, shown, edges)
+            _add_mesh(pv, plotter, mesh, color, material, shown)
         if volume is not None:
-            _add_volume(pv, plotter, volume, color if mesh is None else None, isovalue, opacity, shown, edges)
+            _add_volume(pv, plotter, volume, color if mesh is None else None, isovalue, material, shown)
         if points is not None:
             alone = mesh is None and volume is None
             chosen = color if alone and point_color is None else point_color
@@ -286,20 +290,17 @@ def round_values(low: float, high: float) -> NDArray[np.float64]:
     return values[(values >= low - slack) & (values <= high + slack)]
 
 
-def _add_mesh(
-    pv: Any, plotter: Any, mesh: "TriangleMesh", color: Any, opacity: float, look: _Look, edges: bool
-) -> None:
+def _add_mesh(pv: Any, plotter: Any, mesh: "TriangleMesh", color: Any, material: dict[str, Any], look: _Look) -> None:
     if len(mesh.faces) == 0:
         raise InputError("mesh: has no faces: there is nothing to draw")
     require_drawable(mesh.bounds, "mesh.bounds")
-    shown = {"opacity": opacity, **_MATERIAL, **_edges(edges, look)}
     if color is None and is_painted(mesh):
         for part in painted(pv, mesh, pv.Color(SURFACE_COLOR).float_rgb):
-            plotter.add_mesh(part.surface, scalars="rgb", rgb=True, texture=part.texture, **shown)
+            plotter.add_mesh(part.surface, scalars="rgb", rgb=True, texture=part.texture, **material)
         return
     surface = surface_of(pv, mesh.vertices, mesh.faces)
     if color is None or isinstance(color, str):
-        plotter.add_mesh(shaded(surface), color=_named_color(pv, color, SURFACE_COLOR), **shown)
+        plotter.add_mesh(shaded(surface), color=_named_color(pv, color, SURFACE_COLOR), **material)
         return
     counts = {"vertices": len(mesh.vertices), "faces": len(mesh.faces)}
     what, values = checked_values(color, "color", counts)
@@ -308,27 +309,14 @@ def _add_mesh(
     # Splitting at sharp edges copies vertices together with their values.
     arguments = look.colored(values)
     arguments["scalars"] = "value"
-    plotter.add_mesh(shaded(surface), **arguments, **shown)
+    plotter.add_mesh(shaded(surface), **arguments, **material)
 
 
 _MATERIAL = {"smooth_shading": True, "specular": 0.15, "specular_power": 20.0, "ambient": 0.08}
 
 
-def _edges(drawn: bool, look: _Look) -> dict[str, Any]:
-    # Super-sampling halves the width that VTK is given.
-    width = 2.0 * max(1.0, look.height / 900)
-    return {"show_edges": True, "edge_color": EDGE_COLOR, "line_width": width} if drawn else {}
-
-
 def _add_volume(
-    pv: Any,
-    plotter: Any,
-    volume: "SparseVolume",
-    color: Any,
-    isovalue: float | None,
-    opacity: float,
-    look: _Look,
-    edges: bool,
+    pv: Any, plotter: Any, volume: "SparseVolume", color: Any, isovalue: float | None, material: Any, look: _Look
 ) -> None:
     _require_one_color(color)
     if not _is_surface(volume, isovalue):
@@ -337,13 +325,7 @@ def _add_volume(
     surface = _isosurface(pv, volume, 0.0 if isovalue is None else isovalue)
     if surface.n_cells == 0:
         raise InputError(f"isovalue: grid {volume.info.name!r} has no surface at {isovalue or 0.0:g}; choose another")
-    plotter.add_mesh(
-        shaded(surface),
-        color=_named_color(pv, color, SURFACE_COLOR),
-        opacity=opacity,
-        **_MATERIAL,
-        **_edges(edges, look),
-    )
+    plotter.add_mesh(shaded(surface), color=_named_color(pv, color, SURFACE_COLOR), **material)
 
 
 def _is_surface(volume: "SparseVolume", isovalue: float | None) -> bool:
