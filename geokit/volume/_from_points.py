@@ -15,6 +15,7 @@ from geokit.core.memory import available_memory
 from geokit.core.memory.needs import needs
 from geokit.errors import DeviceMemoryError, InputError
 from geokit.volume.band.lattice_origin import checked_band, index_translation
+from geokit.volume.band.place_keys import KEY_BITS, keys_of, places_of
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import info_of
 from geokit.volume.nanovdb.layout import LEAF_VOXELS
@@ -28,8 +29,6 @@ if TYPE_CHECKING:
 __all__ = ["from_points"]
 
 LEAF = 8
-# Bits of each coordinate in a bucket's key, which bound the tiles along an axis.
-KEY_BITS = 21
 # Tiles computed together: their distances take 32 MiB.
 TILES_AT_A_TIME = 8192
 # Buckets whose neighbors are listed together, 27 keys of 8 bytes each.
@@ -167,7 +166,7 @@ def _sorted_balls(
         width = LEAF << int(n)
         bucket = np.floor(center[rows] / width).astype(np.int64)
         lower = bucket.min(axis=0)
-        keys = _keys(bucket - lower)
+        keys = keys_of(bucket - lower)
         by_key = np.argsort(keys, kind="stable")
         order[filled : filled + len(rows)] = rows[by_key]
         found, start = np.unique(keys[by_key], return_index=True)
@@ -188,11 +187,6 @@ def _sorted_balls(
     return classes
 
 
-def _keys(coordinates: NDArray[np.int64]) -> NDArray[np.int64]:
-    x, y, z = coordinates.T
-    return (x << KEY_BITS | y) << KEY_BITS | z
-
-
 def _tiles_of(balls: _Class, half_width: float, device: "wp.Device") -> NDArray[np.int32]:
     """Corners of the tiles in which a ball of this class may have a voxel of the band, shape (T, 3), each once."""
     steps = np.stack(np.unravel_index(np.arange(27), (3, 3, 3)), axis=1) - 1
@@ -200,10 +194,8 @@ def _tiles_of(balls: _Class, half_width: float, device: "wp.Device") -> NDArray[
     keys = np.empty(0, np.int64)
     for first in range(0, len(balls.buckets), BUCKETS_AT_A_TIME):
         near = balls.buckets[first : first + BUCKETS_AT_A_TIME, None, :] + steps - low
-        keys = np.union1d(keys, _keys(near.reshape(-1, 3)))
-    part = (1 << KEY_BITS) - 1
-    corners = np.stack([keys >> 2 * KEY_BITS, keys >> KEY_BITS & part, keys & part], axis=1) + low
-    blocks = (balls.width * corners).astype(np.int32)
+        keys = np.union1d(keys, keys_of(near.reshape(-1, 3)))
+    blocks = (balls.width * (places_of(keys) + low)).astype(np.int32)
     size = balls.width
     while True:
         blocks = blocks[_states(balls, blocks, size, half_width, device) == NEAR]

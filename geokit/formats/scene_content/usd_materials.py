@@ -105,7 +105,7 @@ class Materials:
         texture = opaque_by = None
         for given in shader.GetInputs():
             label = str(given.GetBaseName())
-            source = _texture(given)
+            source = next((one for one in _shaders(given) if one.GetIdAttr().Get() == "UsdUVTexture"), None)
             value = None if source else _value(given)
             if label == "diffuseColor":
                 texture = source
@@ -210,10 +210,6 @@ def _shaders(given: Any) -> Iterator[Any]:
         shader = UsdShade.Shader(attribute.GetPrim())
         if shader and UsdShade.Output.IsOutput(attribute):
             yield shader
-
-
-def _texture(given: Any) -> Any:
-    return next((shader for shader in _shaders(given) if shader.GetIdAttr().Get() == "UsdUVTexture"), None)
 
 
 def _is_primvar(given: Any, name: str) -> bool:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from geokit.volume.adaptive.cells import CellLattice, cells_of, keys_of, spread_keys
+from geokit.volume.adaptive.cells import CellLattice, spread_keys
 from geokit.volume.adaptive.level_sizes import band_lattice
 from geokit.volume.adaptive.refine import Refinement
 from geokit.volume.adaptive.storage import Storage
 from geokit.volume.band.band import BandShape, build_band, make_band
 from geokit.volume.band.fields import grid_head, volume_from_built
+from geokit.volume.band.place_keys import keys_of, places_of
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import info_of
 from geokit.volume.nanovdb.layout import LEAF_VOXELS
@@ -39,8 +40,8 @@ def build_finer_level(tree: Refinement, level: int, background: float, name: str
         name: Name of the grid.
     """
     lattice, placement, storage = tree.lattice_of(level), tree.placement(level), tree.storage
-    keys = spread_keys(keys_of(2 * cells_of(tree.refined[level - 1]) - placement.start), storage.halves)
-    voxels = cells_of(keys)
+    keys = spread_keys(keys_of(2 * places_of(tree.refined[level - 1]) - placement.start), storage.halves)
+    voxels = places_of(keys)
     distance, _ = lattice.distances(voxels + placement.start)
     tiles, rows = np.unique(keys_of(voxels >> 3), return_inverse=True)
     slots = (voxels & 7) @ np.array([64, 8, 1])
@@ -54,7 +55,7 @@ def build_finer_level(tree: Refinement, level: int, background: float, name: str
     transform = np.diag([lattice.size] * 3 + [1.0])
     transform[:3, 3] = lattice.positions(placement.start)
     head = checked_head("float", background, background, transform, name, "unknown")
-    buffer = build_leaves(head, (8 * cells_of(tiles)).astype(np.int32), values, active, signed=False)
+    buffer = build_leaves(head, (8 * places_of(tiles)).astype(np.int32), values, active, signed=False)
     return _stored(SparseVolume(buffer, info_of(buffer, {})), storage, lattice.size)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.volume.band.place_keys import KEY_BITS, keys_of, places_of
 from geokit.volume.tolerance.interpolation_errors import STENCILS
 
 if TYPE_CHECKING:
@@ -18,11 +19,8 @@ if TYPE_CHECKING:
     from geokit.mesh.model.triangle_mesh import TriangleMesh
     from geokit.mesh.surfaces.surface import Surface
 
-__all__ = ["CORNERS", "CellLattice", "cells_of", "contains", "examine", "keys_of", "near_cells", "spread_keys"]
+__all__ = ["CORNERS", "CellLattice", "contains", "examine", "near_cells", "spread_keys"]
 
-# Bits of a coordinate in a key; three coordinates fit into 63 bits. Coordinates are not negative.
-KEY_BITS = 21
-LARGEST_INDEX = (1 << KEY_BITS) - 1
 # Offsets of a cell's voxels, z fastest.
 CORNERS = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1).reshape(-1, 3)
 # Half the diagonal of a unit cell, with a margin for rounding.
@@ -100,16 +98,6 @@ class CellLattice:
         """Exact signed distances (N,) and closest points (N, 3) [world] of index coordinates (N, 3)."""
         found: Any = self.surface.signed_distance(self.positions(index), sign=self.sign)
         return found.distance, found.points
-
-
-def keys_of(cells: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Sort keys (N,) of cells, ordered by x, then y, then z."""
-    return np.asarray((cells[:, 0] << (2 * KEY_BITS)) | (cells[:, 1] << KEY_BITS) | cells[:, 2])
-
-
-def cells_of(keys: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The cells (N, 3) of keys."""
-    return np.stack([keys >> (2 * KEY_BITS), keys >> KEY_BITS & LARGEST_INDEX, keys & LARGEST_INDEX], axis=1)
 
 
 def spread_keys(keys: NDArray[np.int64], offsets: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -204,7 +192,7 @@ def _examine(lattice: CellLattice, cells: NDArray[np.int64], limit: float, order
     # Keys of voxels along z follow each other, so only the first of each row is looked up.
     across = np.stack(np.meshgrid(*[np.arange(first, first + width)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
     begin = (across[:, 0] << (2 * KEY_BITS)) + (across[:, 1] << KEY_BITS) + first
-    exact = lattice.distances(cells_of(voxels))
+    exact = lattice.distances(places_of(voxels))
     values, closest = _on(device, *exact)
     rows = np.searchsorted(voxels, keys[:, None] + begin).astype(np.int32)
     stencils = _Stencils(order, values, rows)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.volume.adaptive.cells import keys_of
+from geokit.volume.band.place_keys import keys_of
 from geokit.volume.nanovdb.layout import layout_of
 
 __all__ = ["FLOAT", "LEAF", "Placement", "grid_bytes", "placed"]

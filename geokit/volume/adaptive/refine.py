@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from geokit.core.memory import available_memory
 from geokit.errors import DeviceMemoryError
-from geokit.volume.adaptive.cells import CORNERS, CellLattice, cells_of, contains, examine, keys_of, near
+from geokit.volume.adaptive.cells import CORNERS, CellLattice, contains, examine, near
 from geokit.volume.adaptive.level_placement import Placement, placed
 from geokit.volume.adaptive.storage import ACCEPTED_SHARE, Storage
+from geokit.volume.band.place_keys import keys_of, places_of
 
 __all__ = ["Refinement"]
 
@@ -95,7 +96,7 @@ class Refinement:
         if not len(keys):
             return
         self.refined[level] = np.union1d(self.refined[level], keys)
-        halves = (2 * cells_of(keys)[:, None] + CORNERS).reshape(-1, 3)
+        halves = (2 * places_of(keys)[:, None] + CORNERS).reshape(-1, 3)
         if self.goes_on(level + 1):
             self.explore(level + 1, halves[near(self.lattice_of(level + 1), halves)])
 
@@ -128,4 +129,4 @@ class Refinement:
     def placement(self, level: int) -> Placement:
         """Placement of the voxels of a level from 1 on."""
         leaf_bytes = self.storage.leaf_bytes(self.lattice_of(level).size)
-        return placed(cells_of(self.refined[level - 1]), self.storage.halves, leaf_bytes)
+        return placed(places_of(self.refined[level - 1]), self.storage.halves, leaf_bytes)

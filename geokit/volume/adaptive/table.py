@@ -76,7 +76,8 @@ def adaptive_table(levels: tuple[SparseVolume, ...], order: int, device: "wp.Dev
     tables = [_make(level, device, *_box(level), with_pairs=is_fast) for level in levels]
     first, count = STENCILS[order]
     reach = (first, first + count)
-    entries = [_leaves_of(table) for table in tables]
+    slots = [table.slots.numpy() for table in tables]
+    entries = [np.sort(found[found >= 0]) for found in slots]
     # Entries of consecutive leaves differ by this much, or more in "fpn", whose leaves have several sizes.
     steps = [layout_of(GRID_TYPES.index(level.info.grid_type), "grid").leaf_size // 32 for level in levels]
     first_entry = np.array([found[0] if len(found) else 0 for found in entries], np.int32)
@@ -120,8 +121,3 @@ def _box(level: SparseVolume) -> tuple[np.ndarray, np.ndarray]:
     # the voxels beyond the last leaves, which a GPU's pairs include. Everything farther out is background.
     first, last = (bounds[0] - 1) // SPAN, (bounds[1] // LEAF * LEAF + LEAF) // SPAN
     return first * SPAN, last - first + 1
-
-
-def _leaves_of(table: Any) -> np.ndarray:
-    slots = table.slots.numpy()
-    return np.asarray(np.sort(slots[slots >= 0]))

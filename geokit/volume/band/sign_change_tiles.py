@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.volume.band.place_keys import keys_of, places_of
 from geokit.volume.band.tiles import LEAF_BYTES, MOST_TILES, TILE_VOXELS, WORKING_BYTES, Lattice, Tiles, in_grid_order
 
 if TYPE_CHECKING:
@@ -22,8 +23,6 @@ __all__ = ["beyond_signs", "keep_sign_changes", "with_sign_changes"]
 
 # Tiles that are tested at a time: 43 MB of points.
 TILES_AT_A_TIME = 1 << 15
-# Bits of a tile's coordinate in a key; a band has fewer than 2^21 tiles along an axis.
-KEY_BITS = 21
 # The six neighbors of a tile.
 BESIDE = np.concatenate([np.eye(3, dtype=np.int64), -np.eye(3, dtype=np.int64)])
 # Voxels that are tested for each tile: three by three on each plane of voxels next to it. Those planes are part of the
@@ -49,14 +48,15 @@ def with_sign_changes(lattice: Lattice, tiles: Tiles, method: str) -> Tiles:
 
     near = tiles.coordinates.numpy().astype(np.int64)
     origin = _box(lattice, method)[0] - 2
-    seen, tested = np.sort(_keys(near - origin)), np.zeros(0, np.int64)
+    # A band has fewer than 2^21 tiles along an axis.
+    seen, tested = np.sort(keys_of(near - origin)), np.zeros(0, np.int64)
     front, found = near, [near]
     while len(front):
-        beside = np.unique(_keys((front[:, None] + BESIDE - origin).reshape(-1, 3)))
+        beside = np.unique(keys_of((front[:, None] + BESIDE - origin).reshape(-1, 3)))
         for before in (seen, tested):
             beside = beside[~np.isin(beside, before, assume_unique=True)]
         tested = np.union1d(tested, beside)
-        front = _places(beside) + origin
+        front = places_of(beside) + origin
         front = front[_changes_sign(lattice, front, method)]
         found.append(front)
         lattice.require_memory(sum(map(len, found)) * float(LEAF_BYTES + WORKING_BYTES))
@@ -107,11 +107,3 @@ def _box(lattice: Lattice, method: str) -> tuple[NDArray[np.int64], NDArray[np.i
     longest = int((high - low).max()) + 1
     more = 1 if method != "winding" else max(1, min(longest, (MOST_TILES - longest) // 2))
     return low - more, high + more
-
-
-def _keys(places: NDArray[np.int64]) -> NDArray[np.int64]:
-    return np.asarray((places[:, 0] << 2 * KEY_BITS) | (places[:, 1] << KEY_BITS) | places[:, 2])
-
-
-def _places(keys: NDArray[np.int64]) -> NDArray[np.int64]:
-    return np.stack([keys >> shift & ((1 << KEY_BITS) - 1) for shift in (2 * KEY_BITS, KEY_BITS, 0)], axis=1)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from geokit.core import launcher
 from geokit.core.memory import available_memory
 from geokit.errors import DeviceMemoryError, InputError
+from geokit.volume.band.place_keys import KEY_BITS, keys_of
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.types import QUANTIZED
 from geokit.volume.tree.estimates import require_places
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
 
 __all__ = ["LinkedLeaves"]
 
-# Bits of a leaf's coordinate in the keys that find neighbors.
-KEY_BITS = 21
 # Most leaves: elements are numbered by int32.
 MOST_LEAVES = (1 << 31) // 512 - 1
 # Bytes of a row while distances are computed: value, distance, slope, result, its feature twice, bits, and the grid.
@@ -182,7 +181,7 @@ class LinkedLeaves:
                 f"volume: its leaves span {8 * int(place.max()):,} voxels, more than {8 << KEY_BITS:,}; clip it, or "
                 "use a volume per object"
             )
-        keys = place[:, 0] << 2 * KEY_BITS | place[:, 1] << KEY_BITS | place[:, 2]
+        keys = keys_of(place)
         rows = np.argsort(keys, kind="stable")
         table = [wp.array(keys[rows], dtype=wp.int64, device=device)]
         table.append(wp.array(rows.astype(np.int32), dtype=wp.int32, device=device))
