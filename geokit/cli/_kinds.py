@@ -155,7 +155,7 @@ def refuse_unused(where: str, **options: Any) -> None:
     """Refuse the first of the options that is given: it has no effect there, as in "on a mesh"."""
     for name, value in options.items():
         if value is not None:
-            raise InputError(f"--{name}: has no effect {where}; leave it out")
+            raise InputError(f"--{name.replace('_', '-')}: has no effect {where}; leave it out")
 
 
 def load_cloud(

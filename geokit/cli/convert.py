@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -32,6 +33,7 @@ from geokit.formats.table import FORMATS, SPARSE, STAGES, Content
 
 if TYPE_CHECKING:
     from geokit.mesh import TriangleMesh
+    from geokit.points import PointCloud
     from geokit.volume import SparseVolume
 
 __all__ = ["convert"]
@@ -141,12 +143,12 @@ def convert(
         json: Print a summary as JSON.
     """
     given = locals()
-    options = {name.replace("_", "-"): given[name] for name in given if name not in AROUND}
-    options["stream"] = stream or None
+    options = {name: given[name] for name in given if name not in AROUND} | {"stream": stream or None}
     announce_compiling()
 
     def work(source: Path, target: Path) -> dict[str, Any]:
-        return _converted(source, target, options, device, finite_only, force=force, quiet=json or out_dir is not None)
+        job = _Job(source, target, options, device, finite_only, quiet=json or out_dir is not None)
+        return _converted(job, force=force)
 
     if out_dir is not None:
         pairs = list(zip(files, targets_in(out_dir, files, to), strict=True))
@@ -172,72 +174,73 @@ def _described(summary: dict[str, Any]) -> str:
     return f"{summary['target']}: {details}"
 
 
-def _converted(
-    source: Path,
-    target: Path,
-    options: dict[str, Any],
-    device: str | None,
-    finite_only: bool,
-    *,
-    force: bool,
-    quiet: bool,
-) -> dict[str, Any]:
-    kinds = _kinds(source, target, options)
-    _refuse_unused(kinds, options, target)
+@dataclass(frozen=True)
+class _Job:
+    """A file to convert. Options have the names of convert's parameters; those that were not given are None."""
+
+    source: Path
+    target: Path
+    options: dict[str, Any]
+    device: str | None
+    finite_only: bool
+    quiet: bool
+
+    def given(self, *names: str) -> dict[str, Any]:
+        """Those of some options that were given; the library's defaults apply to the others."""
+        return {name: self.options[name] for name in names if self.options[name] is not None}
+
+    def step(self, what: str) -> Any:
+        """A step of the work, which is shown unless the job is quiet."""
+        return step(what, quiet=self.quiet)
+
+    def load_cloud(self) -> PointCloud:
+        """The source as points."""
+        return load_cloud(self.source, self.finite_only, self.options["grid"], self.options["columns"])
+
+
+def _converted(job: _Job, *, force: bool) -> dict[str, Any]:
+    source, target, options = job.source, job.target, job.options
+    kinds = _kinds(job)
+    _refuse_unused(kinds, job)
     may_write(target, _CONTENTS.get(kinds[1]), force=force)
-    given = {name.replace("-", "_"): value for name, value in options.items()}
-    grid, tolerance = options["grid"], options["tolerance"]
-    outside = {"background": options["background"], "tolerance": options["background-tolerance"]}
-    storage = Storage.of(options["codec"], tolerance)
+    storage = Storage.of(options["codec"], options["tolerance"])
     if kinds == ("mesh", "mesh"):
-        summary = _mesh_to_mesh(source, target, tolerance, device, options, quiet=quiet)
-    elif kinds == ("mesh", "volume") and options["stream"]:
-        summary = _streamed(source, target, options, device, quiet=quiet)
+        summary = _mesh_to_mesh(job)
     elif kinds == ("mesh", "volume"):
-        how = {
-            name: given[name] for name in ("half_width", "sign", "thickness", "interior", "method", "within", "order")
-        }
-        summary = _mesh_to_volume(
-            source, target, options["voxel-size"], {**how, "device": device}, storage, options, quiet=quiet
-        )
+        summary = _streamed(job) if options["stream"] else _mesh_to_volume(job, storage)
     elif kinds == ("volume", "volume"):
-        summary = _volume_to_volume(
-            source, target, grid, {**outside, "grid_type": options["grid-type"]}, storage, quiet=quiet
-        )
+        summary = _volume_to_volume(job, storage)
     elif kinds == ("volume", "mesh"):
-        how = {name: given[name] for name in ("isovalue", "label", "adaptivity", "method", "tolerance")}
-        summary = _volume_to_mesh(source, target, {**how, "device": device}, grid, outside, quiet=quiet)
+        summary = _volume_to_mesh(job)
     elif kinds == ("volume", "array"):
-        summary = _volume_to_array(source, target, grid, device, quiet=quiet)
+        summary = _volume_to_array(job)
     elif kinds == ("mesh", "cloud"):
-        with step(f"converting {source}", quiet=quiet):
+        with job.step(f"converting {source}"):
             summary = mesh_to_cloud(source, target, options["count"], options["radius"])
     elif kinds in (("cloud", "volume"), ("cloud", "mesh")):
-        how = {name: given[name] for name in ("radius", "voxel_size")}
-        with step(f"converting {source}", quiet=quiet) as converting:
-            cloud = load_cloud(source, finite_only, grid, options["columns"])
+        how = {"device": job.device, **{name: options[name] for name in ("radius", "voxel_size")}}
+        with job.step(f"converting {source}") as converting:
+            cloud = job.load_cloud()
             if kinds[1] == "volume":
-                how["half_width"] = given["half_width"]
-                summary = cloud_to_volume(cloud, target, {**how, "device": device}, storage, quiet=quiet)
+                how["half_width"] = options["half_width"]
+                summary = cloud_to_volume(cloud, target, how, storage, quiet=job.quiet)
             else:
-                how |= {name: given[name] for name in ("method", "tolerance")}
-                how |= {"device": device, "progress": converting.progress}
-                summary = cloud_to_mesh(cloud, target, how, quiet=quiet)
-    elif options["stream"]:
-        summary = _streamed_cloud(source, target, options, device, finite_only, quiet=quiet)
+                how |= {"method": options["method"], "tolerance": options["tolerance"]}
+                how |= {"progress": converting.progress}
+                summary = cloud_to_mesh(cloud, target, how, quiet=job.quiet)
     else:
-        summary = _cloud_to_cloud(source, target, finite_only, grid, options["columns"], quiet=quiet)
+        summary = _streamed_cloud(job) if options["stream"] else _cloud_to_cloud(job)
     return {"source": str(source), "target": str(target), **summary, "byte_count": size_of(target)}
 
 
 # What the kinds of targets are in the table of formats. An array goes to .npz alone.
 _CONTENTS: dict[str, Content] = {"mesh": "mesh", "volume": "volume", "cloud": "points"}
-UNIT_OPTIONS = ("unit", "up", "from-unit", "from-up")
+UNIT_OPTIONS = ("unit", "up", "from_unit", "from_up")
 _USES = {
     ("mesh", "mesh"): ("tolerance", *UNIT_OPTIONS),
     ("mesh", "volume"): (
-        "voxel-size",
-        "half-width",
+        "voxel_size",
+        "half_width",
         "sign",
         "thickness",
         "interior",
@@ -250,7 +253,7 @@ _USES = {
         "scheduler",
         *UNIT_OPTIONS,
     ),
-    ("volume", "volume"): ("grid", "codec", "tolerance", "background", "background-tolerance", "grid-type"),
+    ("volume", "volume"): ("grid", "codec", "tolerance", "background", "background_tolerance", "grid_type"),
     ("volume", "mesh"): (
         "isovalue",
         "label",
@@ -259,19 +262,20 @@ _USES = {
         "grid",
         "tolerance",
         "background",
-        "background-tolerance",
+        "background_tolerance",
     ),
     ("volume", "array"): ("grid",),
-    ("cloud", "cloud"): ("grid", "columns", "stream", "voxel-size", "normals", "density", "scheduler"),
-    ("cloud", "volume"): ("radius", "voxel-size", "half-width", "codec", "tolerance", "grid", "columns"),
-    ("cloud", "mesh"): ("radius", "voxel-size", "method", "tolerance", "grid", "columns"),
+    ("cloud", "cloud"): ("grid", "columns", "stream", "voxel_size", "normals", "density", "scheduler"),
+    ("cloud", "volume"): ("radius", "voxel_size", "half_width", "codec", "tolerance", "grid", "columns"),
+    ("cloud", "mesh"): ("radius", "voxel_size", "method", "tolerance", "grid", "columns"),
     ("mesh", "cloud"): ("count", "radius"),
 }
 
 
-def _kinds(source: Path, target: Path, options: dict[str, Any]) -> tuple[str, str]:
+def _kinds(job: _Job) -> tuple[str, str]:
     """What is read and what is made. Where the target may be a mesh or a cloud, the options decide."""
-    kinds: tuple[str, str] = kind_of_input(source, options["grid"]), kind_of_output(target)
+    target, options = job.target, job.options
+    kinds: tuple[str, str] = kind_of_input(job.source, options["grid"]), kind_of_output(target)
     if options["kind"] is not None:
         held = FORMATS[extension(target)]
         access = {"mesh": held.mesh, "volume": held.volume, "cloud": held.points}
@@ -283,17 +287,18 @@ def _kinds(source: Path, target: Path, options: dict[str, Any]) -> tuple[str, st
     holds_points = "w" in FORMATS[extension(target)].points
     if kinds[0] == "volume" and extension(target) == ".npz":
         return "volume", "array"
-    if kinds == ("cloud", "mesh") and holds_points and options["radius"] is options["voxel-size"] is None:
+    if kinds == ("cloud", "mesh") and holds_points and options["radius"] is options["voxel_size"] is None:
         return "cloud", "cloud"
     if kinds == ("mesh", "mesh") and holds_points and (options["radius"], options["count"]) != (None, None):
         return "mesh", "cloud"
     return kinds
 
 
-def _refuse_unused(kinds: tuple[str, str], options: dict[str, Any], target: Path) -> None:
+def _refuse_unused(kinds: tuple[str, str], job: _Job) -> None:
     """Raise an error for options that have no effect on this conversion."""
+    options = job.options
     if kinds not in _USES:
-        raise InputError(f"{target}: a {kinds[0]} cannot be converted into a {kinds[1]}; choose another format")
+        raise InputError(f"{job.target}: a {kinds[0]} cannot be converted into a {kinds[1]}; choose another format")
     for name, value in options.items():
         if name not in ("kind", *_USES[kinds]):
             refuse_unused(f"on {kinds[0]} to {kinds[1]}", **{name: value})
@@ -305,15 +310,15 @@ def _refuse_unused(kinds: tuple[str, str], options: dict[str, Any], target: Path
             and not options["stream"]
             and name not in ("kind", "grid", "columns")
         ):
-            raise InputError(f"--{name}: of a cloud to a cloud goes with --stream; give it too")
+            raise InputError(f"--{name.replace('_', '-')}: of a cloud to a cloud goes with --stream; give it too")
 
 
-def _load_mesh(source: Path, options: dict[str, Any]) -> TriangleMesh:
+def _load_mesh(job: _Job) -> TriangleMesh:
     """The mesh of a file, in the unit and with the axis up that are asked for."""
     from geokit.mesh import convert_unit, load
 
-    unit, up, from_unit, from_up = (options[name] for name in UNIT_OPTIONS)
-    mesh = load(source)
+    unit, up, from_unit, from_up = (job.options[name] for name in UNIT_OPTIONS)
+    mesh = load(job.source)
     if (unit, up, from_unit, from_up) == (None, None, None, None):
         return mesh
     try:
@@ -321,58 +326,48 @@ def _load_mesh(source: Path, options: dict[str, Any]) -> TriangleMesh:
     except InputError as error:
         # The library's message names its parameters; the user knows the options.
         told = str(error).replace("from_up_axis", "--from-up").replace("up_axis", "--up")
-        told = told.replace("from_unit", "--from-unit").replace("the mesh", str(source))
+        told = told.replace("from_unit", "--from-unit").replace("the mesh", str(job.source))
         raise InputError(f"--{told}" if told.startswith("unit:") else told) from error
 
 
-def _mesh_to_mesh(
-    source: Path, target: Path, tolerance: float | None, device: str | None, options: dict[str, Any], *, quiet: bool
-) -> dict[str, Any]:
+def _mesh_to_mesh(job: _Job) -> dict[str, Any]:
     from geokit.mesh import save, simplify
 
     achieved: dict[str, Any] = {}
-    with step(f"converting {source}", quiet=quiet) as converting:
-        mesh = _load_mesh(source, options)
-        if tolerance is not None:
-            found = simplify(mesh, tolerance=tolerance, device=device, progress=converting.progress)
+    with job.step(f"converting {job.source}") as converting:
+        mesh = _load_mesh(job)
+        if tolerance := job.given("tolerance"):
+            found = simplify(mesh, **tolerance, device=job.device, progress=converting.progress)
             converting.result = f"{len(mesh.faces)} faces become {len(found.mesh.faces)}"
             mesh, achieved = found.mesh, {"deviation": found.deviation, "deviation_p999": found.deviation_p999}
-        save(target, mesh)
+        save(job.target, mesh)
     return {"vertices": len(mesh.vertices), "faces": len(mesh.faces), **achieved}
 
 
-def _mesh_to_volume(
-    source: Path,
-    target: Path,
-    voxel_size: float | None,
-    how: dict[str, Any],
-    storage: Storage,
-    options: dict[str, Any],
-    *,
-    quiet: bool,
-) -> dict[str, Any]:
+def _mesh_to_volume(job: _Job, storage: Storage) -> dict[str, Any]:
     from geokit.volume import from_mesh, save
 
-    with step(f"reading {source}", quiet=quiet) as reading:
-        mesh = _load_mesh(source, options)
+    voxel_size = job.options["voxel_size"]
+    how = job.given("half_width", "sign", "thickness", "interior", "method", "within", "order")
+    with job.step(f"reading {job.source}") as reading:
+        mesh = _load_mesh(job)
         reading.result = f"{len(mesh.faces)} faces"
     if voxel_size is None and storage.tolerance is None:
         longest = float((mesh.bounds[1] - mesh.bounds[0]).max())
         voxel_size = _rounded(longest / DEFAULT_RESOLUTION)
-        if not quiet:
+        if not job.quiet:
             note(f"voxel size {voxel_size:g}, about {DEFAULT_RESOLUTION} along the longest side; --voxel-size sets it")
-    with step("voxelising", quiet=quiet) as voxelising:
+    with job.step("voxelising") as voxelising:
         if voxel_size is None:
             # OpenVDB has no quantized grids, so a codec that is smaller in memory would not be smaller in a .vdb file.
-            codec = storage.quantization or ("float" if target.suffix.lower() == ".vdb" else None)
-            volume = from_mesh(
-                mesh, tolerance=storage.tolerance, codec=codec, **_given(how), progress=voxelising.progress
-            )
+            codec = storage.quantization or ("float" if job.target.suffix.lower() == ".vdb" else None)
+            how |= {"tolerance": storage.tolerance, "codec": codec, "progress": voxelising.progress}
+            volume = from_mesh(mesh, **how, device=job.device)
         else:
-            volume = storage.applied(from_mesh(mesh, voxel_size=voxel_size, **_given(how)))
+            volume = storage.applied(from_mesh(mesh, voxel_size=voxel_size, **how, device=job.device))
         voxelising.result = f"{volume.info.active_voxel_count} active voxels"
-    with step(f"writing {target}", quiet=quiet):
-        save(target, volume, codec=storage.compression)
+    with job.step(f"writing {job.target}"):
+        save(job.target, volume, codec=storage.compression)
     band = float(np.abs(volume.info.background)) / float(volume.info.voxel_size[0])
     chosen = {} if voxel_size else {"order": volume.info.order, "achieved_error_999": volume.info.achieved_error_999}
     return {
@@ -385,27 +380,23 @@ def _mesh_to_volume(
     }
 
 
-def _streamed(
-    source: Path, target: Path, options: dict[str, Any], device: str | None, *, quiet: bool
-) -> dict[str, Any]:
+def _streamed(job: _Job) -> dict[str, Any]:
     from geokit.core.content_limit import default_limit
     from geokit.distributed._cluster import connected
     from geokit.volume import from_mesh_file
 
     unused = ("interior", "method", "codec", "tolerance", "within", "order", *UNIT_OPTIONS)
-    refuse_unused("with --stream", **{name: options[name] for name in unused})
-    if options["voxel-size"] is None:
+    refuse_unused("with --stream", **job.given(*unused))
+    if job.options["voxel_size"] is None:
         raise InputError("--voxel-size: is missing; --stream does not choose one")
-    how = {name.replace("-", "_"): options[name] for name in ("half-width", "sign", "thickness")}
-    scheduler = options["scheduler"]
-    with step(f"voxelising {source}", quiet=quiet) as voxelising, ExitStack() as stack:
+    scheduler = job.options["scheduler"]
+    with job.step(f"voxelising {job.source}") as voxelising, ExitStack() as stack:
         info = from_mesh_file(
-            source,
-            target,
-            options["voxel-size"],
-            **_given(how),
+            job.source,
+            job.target,
+            **job.given("voxel_size", "half_width", "sign", "thickness"),
             memory_limit=default_limit(),
-            device=device,
+            device=job.device,
             executor=stack.enter_context(connected(scheduler)) if scheduler else None,
             progress=voxelising.progress,
         )
@@ -413,39 +404,33 @@ def _streamed(
     return {"voxel_size": float(info.voxel_size[0]), "active_voxels": info.active_voxel_count}
 
 
-def _streamed_cloud(
-    source: Path, target: Path, options: dict[str, Any], device: str | None, finite_only: bool, *, quiet: bool
-) -> dict[str, Any]:
+def _streamed_cloud(job: _Job) -> dict[str, Any]:
     from geokit.core.content_limit import default_limit
     from geokit.distributed._cluster import connected
     from geokit.points import process_file
 
-    refuse_unused("with --stream", grid=options["grid"], columns=options["columns"])
+    options = job.options
+    refuse_unused("with --stream", **job.given("grid", "columns"))
     how = {
-        "voxel_size": options["voxel-size"],
+        "voxel_size": options["voxel_size"],
         "normals": None if options["normals"] is None else {"k": options["normals"]},
         "density": None if options["density"] is None else {"radius": options["density"]},
     }
     scheduler = options["scheduler"]
-    with step(f"converting {source}", quiet=quiet) as converting, ExitStack() as stack:
+    with job.step(f"converting {job.source}") as converting, ExitStack() as stack:
         found = process_file(
-            source,
-            target,
+            job.source,
+            job.target,
             **how,
-            finite_only=finite_only,
+            finite_only=job.finite_only,
             memory_limit=default_limit(),
-            device=device,
+            device=job.device,
             executor=stack.enter_context(connected(scheduler)) if scheduler else None,
             progress=converting.progress,
         )
-    if found.left_out_count and not quiet:
-        note(f"{source}: {found.left_out_count} of its {found.read_count} points are not finite and were left out")
+    if found.left_out_count and not job.quiet:
+        note(f"{job.source}: {found.left_out_count} of its {found.read_count} points are not finite and were left out")
     return {"points": found.written_count}
-
-
-def _given(options: dict[str, Any]) -> dict[str, Any]:
-    """Keep the options that were given; the library's defaults apply to the others."""
-    return {name: value for name, value in options.items() if value is not None}
 
 
 def _short(value: Any) -> Any:
@@ -458,18 +443,17 @@ def _rounded(length: float) -> float:
     return float(f"{length:.1e}")
 
 
-def _volume_to_volume(
-    source: Path, target: Path, grid: str | None, outside: dict[str, Any], storage: Storage, *, quiet: bool
-) -> dict[str, Any]:
+def _volume_to_volume(job: _Job, storage: Storage) -> dict[str, Any]:
     from geokit.volume import load, load_all, save
 
-    given = _given(outside)
-
-    with step(f"converting {source}", quiet=quiet):
+    source, grid, given = job.source, job.options["grid"], job.given("background", "grid_type")
+    if (most := job.options["background_tolerance"]) is not None:
+        given["tolerance"] = most
+    with job.step(f"converting {source}"):
         every = grid is None or grid_names(source, grid) is not None
         volumes = list(load_all(source, **given).values()) if every else [load(source, grid=grid, **given)]
         volumes = [storage.applied(volume) for volume in volumes]
-        save(target, *volumes, codec=storage.compression)
+        save(job.target, *volumes, codec=storage.compression)
     return {
         "grids": ", ".join(volume.info.name or "(unnamed)" for volume in volumes),
         **({} if extension(source) in (*SPARSE, *STAGES) else {"background": volumes[0].info.background}),
@@ -477,36 +461,34 @@ def _volume_to_volume(
     }
 
 
-def _volume_to_mesh(
-    source: Path, target: Path, how: dict[str, Any], grid: str | None, outside: dict[str, Any], *, quiet: bool
-) -> dict[str, Any]:
+def _volume_to_mesh(job: _Job) -> dict[str, Any]:
     from geokit.mesh import from_volume, from_volume_with_deviation, save
 
-    label = how.pop("label")
+    source, label, how = job.source, job.options["label"], job.given("isovalue", "method", "tolerance")
     if label is not None:
-        refuse_unused("with --label", isovalue=how["isovalue"])
+        refuse_unused("with --label", isovalue=job.options["isovalue"])
         how["isovalue"] = 0.5
-    with step(f"meshing {source}", quiet=quiet) as meshing:
-        volume = load_grid(source, grid, **outside, as_floats=label is None)
+    outside = {"background": job.options["background"], "tolerance": job.options["background_tolerance"]}
+    with job.step(f"meshing {source}") as meshing:
+        volume = load_grid(source, job.options["grid"], **outside, as_floats=label is None)
         if label is not None:
             volume = _mask(volume, label, source)
         achieved: dict[str, Any] = {}
-        if how["tolerance"] is None:
-            mesh = from_volume(volume, **_given(how))
-        elif how["adaptivity"]:
+        if "tolerance" not in how:
+            mesh = from_volume(volume, **how, **job.given("adaptivity"), device=job.device)
+        elif job.options["adaptivity"]:
             raise InputError("--adaptivity: merges faces by no known distance; leave it out where --tolerance is given")
         else:
-            given = _given({**how, "adaptivity": None})
-            found = from_volume_with_deviation(volume, **given, progress=meshing.progress)
+            found = from_volume_with_deviation(volume, **how, device=job.device, progress=meshing.progress)
             mesh, achieved = found.mesh, {"deviation": found.deviation, "deviation_p999": found.deviation_p999}
         meshing.result = f"{len(mesh.faces)} faces"
         if len(mesh.faces) == 0:
-            isovalue = how["isovalue"] or 0.0
+            isovalue = how.get("isovalue", 0.0)
             raise InputError(
                 f"{source}: grid {volume.info.name!r} has no surface at {isovalue:g}; choose --isovalue in the range "
                 "of values that geokit info prints"
             )
-        save(target, mesh)
+        save(job.target, mesh)
     return {"grid": volume.info.name, "vertices": len(mesh.vertices), "faces": len(mesh.faces), **achieved}
 
 
@@ -532,22 +514,18 @@ def _mask(volume: SparseVolume, label: int, source: Path) -> SparseVolume:
     return with_more(mask, info.metadata)
 
 
-def _volume_to_array(
-    source: Path, target: Path, grid: str | None, device: str | None, *, quiet: bool
-) -> dict[str, Any]:
-    with step(f"converting {source}", quiet=quiet):
-        volume = load_grid(source, grid)
-        found = volume.to_dense(device=device)
-        with atomic_path(target) as part, open(part, "wb") as file:
+def _volume_to_array(job: _Job) -> dict[str, Any]:
+    with job.step(f"converting {job.source}"):
+        volume = load_grid(job.source, job.options["grid"])
+        found = volume.to_dense(device=job.device)
+        with atomic_path(job.target) as part, open(part, "wb") as file:
             np.savez_compressed(file, **found._asdict())
     shape = " x ".join(map(str, found.values.shape))
     return {"grid": volume.info.name, "shape": shape, "dtype": str(found.values.dtype)}
 
 
-def _cloud_to_cloud(
-    source: Path, target: Path, finite_only: bool, grid: str | None, columns: str | None, *, quiet: bool
-) -> dict[str, Any]:
-    with step(f"converting {source}", quiet=quiet):
-        cloud = load_cloud(source, finite_only, grid, columns)
-        save_cloud(target, cloud)
+def _cloud_to_cloud(job: _Job) -> dict[str, Any]:
+    with job.step(f"converting {job.source}"):
+        cloud = job.load_cloud()
+        save_cloud(job.target, cloud)
     return {"points": len(cloud.points)}
