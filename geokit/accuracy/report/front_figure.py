@@ -75,9 +75,9 @@ def front_figure(target: Path, group: Group, plot: Plot, footer: str) -> Path:
             at = mark.x, mark.y
             axis.annotate(mark.letter, at, xytext=(5, 5), textcoords="offset points", fontsize=9, weight="bold")
     named: set[int] = set()
-    for device in range(len(plot.devices)):
+    for place in range(len(plot.devices)):
         for method, name in enumerate(plot.methods):
-            marks = [mark for mark in plot.marks if (mark.method, mark.device) == (method, device)]
+            marks = [mark for mark in plot.marks if (mark.method, mark.device) == (method, place)]
             if marks:
                 _draw(axis, marks, "" if method in named else name)
                 named.add(method)
