@@ -34,7 +34,7 @@ PACKAGES: dict[str, Package] = {
     "meshio": Package("meshio", "a .vtu, .msh or .xdmf file"),
     "vtkmodules": Package("vtk", "a .vtk, .vtp, .vtu or .vti file,"),
     "pyvista": Package("pyvista", "a figure, an object of PyVista, and writing .vtk or .vtp,"),
-    "manifold3d": Package("manifold3d", "a union of solids"),
+    "manifold3d": Package("manifold3d", "a union, difference or intersection of solids"),
     "matplotlib": Package("matplotlib", "a chart or a color scale"),
     "PIL": Package("pillow", "a report with figures"),
     "blosc": Package("blosc", "a .nvdb file with codec blosc"),

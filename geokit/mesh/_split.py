@@ -10,7 +10,7 @@ from geokit.core.interop.user_arrays import require_finite_scalar
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_choice, require_count
 from geokit.errors import InputError
-from geokit.mesh.attributes.derived import derived
+from geokit.mesh.attributes.derived import derived, used_vertices
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.surfaces.objects import require_mesh
 from geokit.mesh.topology.audit import face_parts
@@ -108,8 +108,8 @@ def _components(mesh: TriangleMesh) -> list[NDArray[np.int64]]:
 
 
 def _piece(mesh: TriangleMesh, rows: NDArray[np.int64], name: str, *, keep_parts: bool = False) -> TriangleMesh:
-    used, faces = np.unique(mesh.faces[rows], return_inverse=True)
-    piece = derived(mesh, mesh.vertices[used], faces.reshape(-1, 3), vertex_source=used, face_source=rows)
+    used, faces = used_vertices(mesh.faces[rows], mesh.vertex_count)
+    piece = derived(mesh, mesh.vertices[used], faces, vertex_source=used, face_source=rows)
     if not keep_parts:
         piece.__dict__.update(name=name, parts=())
     return piece

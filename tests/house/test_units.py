@@ -93,6 +93,8 @@ def pairs(calls_of: calls.Scene, a: dict[str, Any], b: dict[str, Any]) -> dict[s
     return {
         "mesh.hausdorff": lambda: gk.mesh.hausdorff(first, two, samples=0, device="cpu"),
         "mesh.union": lambda: gk.mesh.union(one, two),
+        "mesh.difference": lambda: gk.mesh.difference(one, two),
+        "mesh.intersection": lambda: gk.mesh.intersection(one, two),
         "mesh.transfer_attributes": lambda: gk.mesh.transfer_attributes(one, two, device="cpu"),
         "mesh.sample_attributes": lambda: gk.mesh.sample_attributes(one, {"d": other}, device="cpu"),
         "Surface.distance": lambda: first.distance(second),

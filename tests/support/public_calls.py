@@ -219,7 +219,9 @@ def _mesh_calls(s: Scene) -> Iterator[Call]:
     yield Call("mesh.sample_surface(radius)", m.sample_surface, {**spread, "radius": 0.5})
     yield Call("mesh.sample_surface(disk)", m.sample_surface, {**spread, "count": 20})
     yield Call("mesh.split", m.split, {"mesh": s.mesh})
-    yield Call("mesh.union", m.union, {"mesh": s.mesh, "others": (s.other,)}, {"others": "sequence"})
+    for name in ("union", "difference", "intersection"):
+        given = {"mesh": s.mesh, "others": (s.other,)}
+        yield Call(f"mesh.{name}", getattr(m, name), given, {"others": "sequence"})
     yield Call("mesh.keep_largest", m.keep_largest, {"mesh": s.mesh})
     yield Call("mesh.transform", m.transform, {"mesh": s.mesh, "matrix": np.eye(4)})
     asked_unit = {"mesh": s.mesh, "unit": "mm", "up_axis": "z", "from_unit": "in", "from_up_axis": "y"}

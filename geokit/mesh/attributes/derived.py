@@ -11,7 +11,7 @@ from geokit.core.memory.row_products import row_product
 from geokit.mesh.model.data import Data, has_meaning
 from geokit.mesh.model.triangle_mesh import MeshPart, TriangleMesh, trusted_mesh
 
-__all__ = ["derived", "moved_to_corners", "turned_normals", "with_data"]
+__all__ = ["derived", "moved_to_corners", "turned_normals", "used_vertices", "with_data"]
 
 
 def derived(
@@ -44,6 +44,17 @@ def derived(
     return trusted_mesh(
         np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(faces, np.int32), mesh.name, parts, more
     )
+
+
+def used_vertices(faces: NDArray[Any], count: int) -> tuple[NDArray[np.int64], NDArray[Any]]:
+    """The vertices of ``count`` that faces use (U,), ascending, and the faces as rows of these (F, 3)."""
+    if 8 * faces.size < count:
+        # A small piece of a large mesh: a mark for each vertex would take longer.
+        used, corners = np.unique(faces, return_inverse=True)
+        return used, corners.reshape(faces.shape)
+    is_used = np.zeros(count, bool)
+    is_used[faces.reshape(-1)] = True
+    return np.flatnonzero(is_used), np.take(np.cumsum(is_used) - 1, faces)
 
 
 def with_data(mesh: TriangleMesh, **data: Any) -> TriangleMesh:

@@ -7,19 +7,19 @@ less. Every result is held against winding numbers of the mesh that was given, o
 
 from __future__ import annotations
 
-import itertools
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.mesh.attributes.derived import derived, with_data
+from geokit.mesh.attributes.derived import derived, used_vertices, with_data
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.sign.inner_sheets import CONTACT, EXTREME_SIZE
-from geokit.mesh.solids.judging import areas_of, self_overlap, verdict_of
+from geokit.mesh.solids.contact import within_contact
+from geokit.mesh.solids.judging import self_overlap, verdict_of
+from geokit.mesh.solids.pieces import Pieces, boxes_that_meet, combined, inflated, solid_of
 from geokit.mesh.solids.reading import Reading, read_solids
-from geokit.mesh.solids.union import Pieces, boxes_that_meet, inflated, united
 from geokit.mesh.topology.audit import face_parts
 from geokit.mesh.topology.bodies import Bodies
 
@@ -27,12 +27,6 @@ if TYPE_CHECKING:
     from geokit.mesh.surfaces.surface import Surface
 
 __all__ = ["Boundary", "boundary_of"]
-
-# Bodies grow by the first of these shares of the size that joins what touches but for the rounding of float64, or of
-# float32, else by CONTACT.
-GROWTHS = (1e-9, 1e-7)
-# Smallest contact that is looked for, as a share of the bodies' area.
-LEAST_CONTACT = 1e-6
 
 
 class Boundary(NamedTuple):
@@ -114,7 +108,7 @@ def _are_apart(given: Any, within: float) -> bool:
 def _touch(bodies: Bodies, crowded: list[NDArray[np.int64]], size: float, make_surface: Any) -> bool:
     """Whether bodies that do not intersect do so when they grow by what counts as contact."""
     rows = np.concatenate(crowded)
-    grown = TriangleMesh(inflated(bodies, rows, CONTACT * size), bodies.corners[rows])
+    grown = TriangleMesh(inflated(bodies.positions, bodies.corners[rows], CONTACT * size), bodies.corners[rows])
     return bool(make_surface(grown)._has_self_intersections())
 
 
@@ -167,39 +161,23 @@ def _joined(
     bodies, judge = read.bodies, read.judge
     rows = np.concatenate(crowded)
 
-    def made(share: float) -> Pieces | None:
-        return united(bodies, crowded, share * size)
+    def made(positions: NDArray[np.float64]) -> Pieces | None:
+        return combined([solid_of(bodies, some, positions) for some in crowded], "Add")
 
-    as_given, grown = made(0.0), made(CONTACT)
-    # Where bodies touch but for rounding, both sides of the contact are in the union until they grow together.
-    before, after = (
-        areas_of(places, bodies.corners[rows]) for places in (bodies.positions, inflated(bodies, rows, CONTACT * size))
-    )
-    slack = 4.0 * np.abs(after - before).sum() + LEAST_CONTACT * before.sum()
+    def verdict(pieces: Pieces, moved: float) -> str:
+        def inside(points: NDArray[np.float64]) -> NDArray[np.bool_]:
+            return np.asarray(judge.winding_number(points) > 0.5)
 
-    def joins(pieces: Pieces | None) -> bool:
-        """Whether bodies that grow as far as CONTACT would join no further."""
-        if pieces is None or grown is None:
-            return pieces is not None
-        return areas_of(pieces.vertices, pieces.faces).sum() - areas_of(grown.vertices, grown.faces).sum() <= slack
+        make_surface = partial(judge._of, device=judge._device)
+        return verdict_of(mesh.vertices, mesh.faces[rows], pieces, inside, make_surface, size, moved)
 
-    unions = itertools.chain([(as_given, 0.0)], ((made(share), share) for share in GROWTHS), [(grown, CONTACT)])
-    joined = next((one for one in unions if joins(one[0])), (grown, CONTACT))
-    candidates = [joined, *(one for one in ((grown, CONTACT), (as_given, 0.0)) if one[1] != joined[1])]
-    best, kept = None, "their union could not be made"
-    for pieces, share in candidates:
-        verdict = "wrong" if pieces is None else verdict_of(mesh, rows, pieces, judge, size, share * size)
-        if not verdict:
-            return pieces, ""
-        if verdict == "walls" and best is None:
-            best, kept = pieces, "some of it is left in their union"
-    return best, kept
+    return within_contact(made, verdict, bodies.positions, bodies.corners[rows], size)
 
 
 def _assembled(mesh: TriangleMesh, rest: NDArray[np.int64], pieces: Pieces | None) -> Pieces:
     """Faces of the mesh and pieces in one, in the order of the faces that they come from."""
-    used, corners = np.unique(mesh.faces[rest], return_inverse=True)
-    vertices, faces, source = mesh.vertices[used], corners.reshape(-1, 3), rest
+    used, faces = used_vertices(mesh.faces[rest], mesh.vertex_count)
+    vertices, source = mesh.vertices[used], rest
     if pieces is not None:
         vertices = np.concatenate([vertices, pieces.vertices])
         faces = np.concatenate([faces, pieces.faces + len(used)])

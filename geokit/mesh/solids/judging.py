@@ -1,7 +1,8 @@
-"""Holds unions against winding numbers of the bodies that were given, on both sides of their faces."""
+"""Holds what bodies make together against winding numbers of those that were given, on both sides of its faces."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.sign.inner_sheets import CONTACT, INNER_POINT
-from geokit.mesh.solids.union import Pieces
+from geokit.mesh.solids.pieces import Pieces
 from geokit.mesh.topology.normals import cross
 
 __all__ = ["FACES_FOR_A_SHARE", "OVERLAP_SHARE", "areas_of", "checkable", "self_overlap", "verdict_of"]
@@ -28,29 +29,42 @@ ROOM = 10.0
 
 
 def verdict_of(
-    mesh: TriangleMesh, rows: NDArray[np.int64], pieces: Pieces, judge: Any, size: float, inflation: float
+    vertices: NDArray[np.float64],
+    faces: NDArray[Any],
+    pieces: Pieces,
+    inside: Callable[[NDArray[np.float64]], NDArray[np.bool_]],
+    make_surface: Callable[[TriangleMesh], Any],
+    size: float,
+    inflation: float,
 ) -> str:
-    """Nothing if the pieces bound what the bodies enclose, "walls" if some have the solid on both sides, or "wrong"."""
-    if not len(pieces.faces):
-        return "wrong"
+    """Nothing if pieces bound what is inside, "walls" if some have it on both sides, or "wrong".
+
+    Args:
+        vertices: Positions of the bodies that were given [world] (V, 3).
+        faces: Their faces (F, 3).
+        pieces: What was made of them.
+        inside: Whether points are inside of what was asked for.
+        make_surface: Makes a surface of a mesh.
+        size: Size of the bodies [world].
+        inflation: How far bodies were moved [world].
+    """
     off = CONTACT * size
     corners, area, normals = checkable(pieces.vertices, pieces.faces, off)
-    if not len(area):
+    if not len(area) and len(pieces.faces):
         return "wrong"
     middle = INNER_POINT @ corners
-    in_front = judge.winding_number(middle + (off + inflation) * normals) > 0.5
-    behind = judge.winding_number(middle - (off + 2.0 * inflation) * normals) > 0.5
+    in_front = inside(middle + (off + 2.0 * inflation) * normals)
+    behind = inside(middle - (off + 2.0 * inflation) * normals)
     most = WRONG_SHARE * area.sum()
     if area[~behind].sum() > most:
         return "wrong"
     # Nothing is missing: what is boundary of the bodies is there.
-    corners, given_area, normals = checkable(mesh.vertices, mesh.faces[rows], off)
+    corners, given_area, normals = checkable(vertices, faces, off)
     middle = INNER_POINT @ corners
-    boundary = judge.winding_number(middle + off * normals) < 0.5
-    boundary &= judge.winding_number(middle - off * normals) > 0.5
-    made = judge._of(TriangleMesh(pieces.vertices, pieces.faces), device=judge._device)
-    missing = boundary.copy()
-    missing[boundary] = made.closest_point(middle[boundary]).distance > ROOM * off
+    missing = inside(middle + off * normals) != inside(middle - off * normals)
+    if len(pieces.faces) and missing.any():
+        made = make_surface(TriangleMesh(pieces.vertices, pieces.faces))
+        missing[missing] = made.closest_point(middle[missing]).distance > ROOM * off
     if given_area[missing].sum() > WRONG_SHARE * given_area.sum():
         return "wrong"
     return "walls" if area[in_front].sum() > most else ""

@@ -193,7 +193,9 @@ def test_a_list_of_meshes_is_refused_with_the_way_out() -> None:
 
 def test_without_manifold3d_its_name_and_command_are_given(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "manifold3d", None)
-    with pytest.raises(MissingDependencyError, match="a union of solids needs the package manifold3d"):
+    with pytest.raises(
+        MissingDependencyError, match="a union, difference or intersection of solids needs the package manifold3d"
+    ):
         union(ASSEMBLIES["overlap"][0])
     # Fields need no exact union, unless bodies are open as well.
     field = gk.volume.from_mesh(ASSEMBLIES["overlap"][0], 0.1, device="cpu")

@@ -1,19 +1,24 @@
-"""Exact unions of closed bodies, by manifold3d."""
+"""Exact unions, differences and intersections of closed bodies, by manifold3d."""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit._packages import require_package
 from geokit.core.memory.needs import require_free
+from geokit.mesh.attributes.derived import used_vertices
 from geokit.mesh.topology.bodies import Bodies
 from geokit.mesh.topology.boxes import boxes_of
 from geokit.mesh.topology.connectivity import connected_components
 
-__all__ = ["Pieces", "boxes_that_meet", "inflated", "united"]
+__all__ = ["Pieces", "Solid", "Verb", "boxes_that_meet", "combined", "inflated", "solid_of"]
+
+# What becomes of solids, as manifold3d names it: of the first one all others are subtracted.
+Verb = Literal["Add", "Subtract", "Intersect"]
 
 # Memory of manifold3d for each face, with its copies.
 BYTES_PER_FACE = 700
@@ -65,34 +70,45 @@ def boxes_that_meet(
     return connected_components(count, np.concatenate(ones), np.concatenate(others))
 
 
-def united(bodies: Bodies, solids: list[NDArray[np.int64]], inflation: float) -> Pieces | None:
-    """The boundary of the union of solids; None where manifold3d refuses one of them.
+class Solid(NamedTuple):
+    """A closed body and its cavities, or several that do not overlap.
+
+    Attributes:
+        positions: Positions [world] (V, 3).
+        corners: Rows of the corners of its faces (F, 3).
+        rows: Numbers of its faces (F,).
+    """
+
+    positions: NDArray[np.float64]
+    corners: NDArray[Any]
+    rows: NDArray[np.int64]
+
+
+def solid_of(bodies: Bodies, rows: NDArray[np.int64], positions: NDArray[np.float64], begin: int = 0) -> Solid:
+    """Some faces of bodies, their vertices at these positions; ``begin`` is added to the numbers of the faces."""
+    used, corners = used_vertices(bodies.corners[rows], len(positions))
+    return Solid(positions[used], corners, rows + begin)
+
+
+def combined(solids: Sequence[Solid], verb: Verb) -> Pieces | None:
+    """The boundary of what solids are together, of which none may cross itself; None where manifold3d refuses one.
 
     Raises:
         MissingDependencyError: manifold3d is not installed.
         DeviceMemoryError: There is not enough memory for it.
-
-    Args:
-        bodies: The bodies.
-        solids: Rows of the faces of each solid: those of a body and of its cavities.
-        inflation: How far the vertices move outward first [world], so that bodies that touch but for rounding overlap.
     """
     manifold: Any = require_package("manifold3d")
     # It does not check what it allocates.
-    require_free(BYTES_PER_FACE * sum(map(len, solids)), "union of bodies", always=True)
-    positions = inflated(bodies, np.concatenate(solids), inflation) if inflation else bodies.positions
+    require_free(BYTES_PER_FACE * sum(len(solid.rows) for solid in solids), "union of bodies", always=True)
     parts = []
-    for rows in solids:
-        used, corners = np.unique(bodies.corners[rows], return_inverse=True)
-        # Every face keeps its number through the union, and flat regions keep their triangles.
-        made = manifold.Mesh64(
-            positions[used], corners.reshape(-1, 3).astype(np.uint64), face_id=rows.astype(np.uint64)
-        )
+    for solid in solids:
+        # Every face keeps its number, and flat regions keep their triangles.
+        made = manifold.Mesh64(solid.positions, solid.corners.astype(np.uint64), face_id=solid.rows.astype(np.uint64))
         part = manifold.Manifold(made)
         if part.status() != manifold.Error.NoError:
             return None
         parts.append(part)
-    result = manifold.Manifold.batch_boolean(parts, manifold.OpType.Add)
+    result = manifold.Manifold.batch_boolean(parts, getattr(manifold.OpType, verb))
     if result.status() != manifold.Error.NoError:
         return None
     mesh = result.to_mesh64()
@@ -100,26 +116,23 @@ def united(bodies: Bodies, solids: list[NDArray[np.int64]], inflation: float) ->
     return Pieces(vertices, mesh.tri_verts.astype(np.int64), np.asarray(mesh.face_id).astype(np.int64))
 
 
-def inflated(bodies: Bodies, rows: NDArray[np.int64], by: float) -> NDArray[np.float64]:
+def inflated(positions: NDArray[np.float64], corners: NDArray[Any], by: float) -> NDArray[np.float64]:
     """The vertices of bodies, moved away from the inside [world] (V, 3): along the mean normal of their faces, weighted
     by angle.
 
     Args:
-        bodies: The bodies.
-        rows: Rows of the faces whose vertices move.
-        by: How far they move [world].
+        positions: Vertices of the bodies [world] (V, 3).
+        corners: Corners of the faces whose vertices move (F, 3).
+        by: How far they move [world]; inward if it is negative.
     """
     # Not mesh.topology.normals: there, bodies that touch would share the normals of a corner.
-    corners = bodies.corners[rows]
-    places = bodies.positions[corners]
+    places = positions[corners]
     edges = np.roll(places, -1, axis=1) - places
     edges /= np.maximum(np.linalg.norm(edges, axis=2, keepdims=True), np.finfo(float).tiny)
     normals = np.cross(edges[:, 0], edges[:, 1])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
     angles = np.arccos(np.clip(-(edges * np.roll(edges, 1, axis=1)).sum(axis=2), -1.0, 1.0))
-    outward = np.zeros_like(bodies.positions)
+    outward = np.zeros_like(positions)
     for corner in range(3):
         np.add.at(outward, corners[:, corner], angles[:, corner, None] * normals)
-    return bodies.positions + by * outward / np.maximum(
-        np.linalg.norm(outward, axis=1, keepdims=True), np.finfo(float).tiny
-    )
+    return positions + by * outward / np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), np.finfo(float).tiny)
