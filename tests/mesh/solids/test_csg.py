@@ -55,8 +55,10 @@ def check(found: TriangleMesh, volume: float, area: float, tolerance: float) -> 
 def test_volumes_and_areas_are_those_of_closed_forms(name: str) -> None:
     one, other, alone, common, *areas = PAIRS[name]
     check(difference(one, other), alone, areas[0], 1e-12)
+    # The column shrinks by 1e-9: where it fills the cavity, manifold3d leaves a skin of no thickness.
+    tolerance = 1e-7 if name == "a cavity" else 1e-12
     for pair in ((one, other), (other, one)):
-        check(intersection(*pair), common, areas[1], 1e-12)
+        check(intersection(*pair), common, areas[1], tolerance)
     assert union(one, other).volume == pytest.approx(union(one).volume + union(other).volume - common, rel=1e-12)
 
 
