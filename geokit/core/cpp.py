@@ -1,9 +1,10 @@
 """C++ source of native kernel functions, kept in ``.inl`` files beside the kernel modules.
 
 A ``.inl`` file holds functions with parameters, one of the name of each function that is declared in Python
-(:func:`func_native`). Warp puts it within the function that it writes for the declaration, where C++ has no functions
-but lambdas: they are ``static constexpr`` and capture nothing, so they may stand outside of a function too. Compilers
-thus read each file by itself, with the declarations that ``python -m tests.sanitize.alone`` writes.
+(:func:`func_native`) or called by a kernel (:func:`native_item`). Warp puts it within the function that it writes for
+the declaration, where C++ has no functions but lambdas: they are ``static constexpr`` and capture nothing, so they may
+stand outside of a function too. Compilers thus read each file by itself, with the declarations that ``python -m
+tests.sanitize.alone`` writes.
 
 Older files hold the statements of a function body (:func:`cpp`). The first comment of such a file lists the names that
 it expects in scope and those that it defines. Concatenated files share a scope.
@@ -13,6 +14,7 @@ A line ``#include "mesh/bvh/boxes.inl"`` in a file stands for the lines of that 
 """
 
 import inspect
+import linecache
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -20,7 +22,7 @@ from typing import Any
 
 import warp as wp
 
-__all__ = ["cpp", "func_native"]
+__all__ = ["cpp", "func_native", "native_item"]
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 
@@ -52,6 +54,33 @@ def func_native(
         # Overloads: warp looks for the earlier one among the locals of who calls func_native.
         name, given = declaration.__name__, {"func_native": wp.func_native, "text": text}
         return eval("func_native(text)", given, {name: declaration.__globals__.get(name)})(declaration)
+
+    return declare
+
+
+def native_item(file: str, function: str, **given: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Decorator, below ``wp.kernel``, of a kernel whose items each call a C++ function in a file.
+
+    The C++ function has the parameters of the kernel, with the item in place of ``first``.
+
+    Args:
+        file, given: As for :func:`func_native`.
+        function: Name of the C++ function.
+    """
+
+    def declare(declaration: Callable[..., Any]) -> Any:
+        name, module = declaration.__name__, declaration.__globals__
+        first, *others = inspect.signature(declaration).parameters
+        call = f"{name}_item({', '.join([f'{first} + wp.tid()', *others])})"
+        text = f"def {name}({', '.join([first, *others])}):\n    {call}\n"
+        module[f"{name}_item"] = func_native(file, function=function, **given)(declaration)
+        # Warp reads the text of a kernel, which must stand somewhere.
+        place = f"<{module['__name__']}.{name}>"
+        linecache.cache[place] = len(text), None, text.splitlines(keepends=True), place
+        made: dict[str, Any] = {}
+        exec(compile(text, place, "exec"), module, made)
+        made[name].__annotations__ = declaration.__annotations__
+        return made[name]
 
     return declare
 

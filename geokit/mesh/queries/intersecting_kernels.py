@@ -30,18 +30,6 @@ PAIR_CONSTANTS = {
 
 
 @cpp.func_native("mesh/queries/intersecting.inl", **BOX_CONSTANTS, **PAIR_CONSTANTS)
-def count_pairs(
-    item: int,
-    surface: SurfaceTree,
-    tree: SurfaceTree,
-    slot_boxes: wp.array(dtype=wp.float32),
-    itself: bool,
-    unit: wp.float64,
-    out_count: wp.array(dtype=wp.int64),
-): ...
-
-
-@cpp.func_native("mesh/queries/intersecting.inl", **BOX_CONSTANTS, **PAIR_CONSTANTS)
 def fill_pairs(
     item: int,
     offset: wp.int64,
@@ -67,6 +55,7 @@ def find_pair(
 
 
 @wp.kernel
+@cpp.native_item("mesh/queries/intersecting.inl", "count_pairs", **BOX_CONSTANTS, **PAIR_CONSTANTS)
 def count_pairs_kernel(
     first: int,
     surface: SurfaceTree,
@@ -75,8 +64,7 @@ def count_pairs_kernel(
     itself: bool,
     unit: wp.float64,
     out_count: wp.array(dtype=wp.int64),
-):
-    count_pairs(first + wp.tid(), surface, tree, slot_boxes, itself, unit, out_count)
+): ...
 
 
 @wp.kernel

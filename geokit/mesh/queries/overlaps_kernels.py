@@ -15,30 +15,8 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 BOX_GAP_ERROR = 3.0e-15
 
 
-@cpp.func_native("mesh/queries/overlaps.inl", **BOX_CONSTANTS, BOX_GAP_ERROR=BOX_GAP_ERROR)
-def count_overlaps(
-    item: int,
-    lower: wp.array(dtype=wp.vec3d),
-    upper: wp.array(dtype=wp.vec3d),
-    tree: SurfaceTree,
-    slot_boxes: wp.array(dtype=wp.float32),
-    out_count: wp.array(dtype=wp.int64),
-): ...
-
-
-@cpp.func_native("mesh/queries/overlaps.inl", **BOX_CONSTANTS, BOX_GAP_ERROR=BOX_GAP_ERROR)
-def list_overlaps(
-    item: int,
-    lower: wp.array(dtype=wp.vec3d),
-    upper: wp.array(dtype=wp.vec3d),
-    offsets: wp.array(dtype=wp.int64),
-    tree: SurfaceTree,
-    slot_boxes: wp.array(dtype=wp.float32),
-    out_key: wp.array(dtype=wp.int64),
-): ...
-
-
 @wp.kernel
+@cpp.native_item("mesh/queries/overlaps.inl", "count_overlaps", **BOX_CONSTANTS, BOX_GAP_ERROR=BOX_GAP_ERROR)
 def count_overlaps_kernel(
     first: int,
     lower: wp.array(dtype=wp.vec3d),
@@ -46,11 +24,11 @@ def count_overlaps_kernel(
     tree: SurfaceTree,
     slot_boxes: wp.array(dtype=wp.float32),
     out_count: wp.array(dtype=wp.int64),
-):
-    count_overlaps(first + wp.tid(), lower, upper, tree, slot_boxes, out_count)
+): ...
 
 
 @wp.kernel
+@cpp.native_item("mesh/queries/overlaps.inl", "list_overlaps", **BOX_CONSTANTS, BOX_GAP_ERROR=BOX_GAP_ERROR)
 def list_overlaps_kernel(
     first: int,
     lower: wp.array(dtype=wp.vec3d),
@@ -59,8 +37,7 @@ def list_overlaps_kernel(
     tree: SurfaceTree,
     slot_boxes: wp.array(dtype=wp.float32),
     out_key: wp.array(dtype=wp.int64),
-):
-    list_overlaps(first + wp.tid(), lower, upper, offsets, tree, slot_boxes, out_key)
+): ...
 
 
 @wp.kernel

@@ -34,35 +34,8 @@ NUMBERS = {"FARTHEST": int(FARTHEST), "BLOCK_WORDS": BLOCK_WORDS}
 
 # ``below`` and ``above`` are the voxel type's numbers below and above the isovalue: float32 for grids of floats,
 # float64 for all other types.
-@cpp.func_native("volume/rays/crossing_blocks.inl", **NUMBERS)
-def mark_row(
-    row: int,
-    volume: wp.uint64,
-    anchor: wp.vec3i,
-    first_block: wp.vec3i,
-    block_count: wp.vec3i,
-    below: Any,
-    above: Any,
-    out_busy: wp.array(dtype=int),
-): ...
-
-
-@cpp.func_native("volume/rays/crossing_blocks.inl", **NUMBERS)
-def write_row(
-    row: int,
-    volume: wp.uint64,
-    anchor: wp.vec3i,
-    first_block: wp.vec3i,
-    block_count: wp.vec3i,
-    below: Any,
-    above: Any,
-    numbers: wp.array(dtype=int),
-    out_distance: wp.array(dtype=wp.int8),
-    out_blocks: wp.array(dtype=wp.uint64),
-): ...
-
-
 @wp.kernel
+@cpp.native_item("volume/rays/crossing_blocks.inl", "mark_row", **NUMBERS)
 def mark_blocks_kernel(
     first: int,
     volume: wp.uint64,
@@ -72,11 +45,11 @@ def mark_blocks_kernel(
     below: Any,
     above: Any,
     out_busy: wp.array(dtype=int),
-):
-    mark_row(first + wp.tid(), volume, anchor, first_block, block_count, below, above, out_busy)
+): ...
 
 
 @wp.kernel
+@cpp.native_item("volume/rays/crossing_blocks.inl", "write_row", **NUMBERS)
 def write_blocks_kernel(
     first: int,
     volume: wp.uint64,
@@ -88,10 +61,7 @@ def write_blocks_kernel(
     numbers: wp.array(dtype=int),
     out_distance: wp.array(dtype=wp.int8),
     out_blocks: wp.array(dtype=wp.uint64),
-):
-    write_row(
-        first + wp.tid(), volume, anchor, first_block, block_count, below, above, numbers, out_distance, out_blocks
-    )
+): ...
 
 
 # Keys: whether the grid holds floats.
@@ -140,19 +110,8 @@ def spread_distance_kernel(
     out_distance[k] = wp.int8(best)
 
 
-@cpp.func_native("volume/rays/crossing_blocks.inl", **NUMBERS)
-def spread_line(
-    line: int,
-    total: int,
-    stride: int,
-    count: int,
-    length: int,
-    distance: wp.array(dtype=wp.int8),
-    out_distance: wp.array(dtype=wp.int8),
-): ...
-
-
 @wp.kernel
+@cpp.native_item("volume/rays/crossing_blocks.inl", "spread_line", **NUMBERS)
 def spread_lines_kernel(
     first: int,
     total: int,
@@ -163,4 +122,3 @@ def spread_lines_kernel(
     out_distance: wp.array(dtype=wp.int8),
 ):
     """Does the same as spread_distance_kernel; an item is a line of ``length`` blocks along z."""
-    spread_line(first + wp.tid(), total, stride, count, length, distance, out_distance)

@@ -90,21 +90,8 @@ class LevelLayout:
     child_size: wp.int64  # bytes of a child
 
 
-@cpp.func_native("volume/tree/device_writer.inl")
-def link_word(
-    item: int,
-    level: LevelLayout,
-    parent_keys: wp.array(dtype=wp.int64),
-    first_child: wp.array(dtype=int),
-    child_keys: wp.array(dtype=wp.int64),
-    state: wp.array(dtype=wp.uint8),
-    outside: wp.uint64,
-    inside: wp.uint64,
-    out_buffer: wp.array(dtype=wp.uint8),
-): ...
-
-
 @wp.kernel
+@cpp.native_item("volume/tree/device_writer.inl", "link_word")
 def link_kernel(
     first: int,
     level: LevelLayout,
@@ -117,8 +104,6 @@ def link_kernel(
     out_buffer: wp.array(dtype=wp.uint8),
 ):
     """Writes 64 slots of a node: offsets of the children, tiles between them, and a word of the child mask."""
-    item = first + wp.tid()
-    link_word(item, level, parent_keys, first_child, child_keys, state, outside, inside, out_buffer)
 
 
 @cpp.func_native("volume/tree/device_writer.inl")

@@ -16,49 +16,8 @@ from geokit.volume.tree.device_writer_kernels import LevelLayout
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
 
 
-@cpp.func_native("volume/tree/node_statistics.inl")
-def measure_leaf(
-    leaf: int,
-    begin: wp.int64,
-    tiles: wp.array(dtype=wp.vec3i),
-    rows: wp.array(dtype=int),
-    out_buffer: wp.array(dtype=wp.uint8),
-    out_boxes: wp.array(dtype=int),
-    out_extrema: wp.array(dtype=Any),
-    out_count: wp.array(dtype=int),
-): ...
-
-
-@cpp.func_native("volume/tree/node_statistics.inl")
-def measure_part(
-    item: int,
-    parts: int,
-    first_child: wp.array(dtype=int),
-    boxes: wp.array(dtype=int),
-    extrema: wp.array(dtype=Any),
-    out_boxes: wp.array(dtype=int),
-    out_extrema: wp.array(dtype=Any),
-): ...
-
-
-@cpp.func_native("volume/tree/node_statistics.inl")
-def measure_node(
-    node: int,
-    level: LevelLayout,
-    parts: int,
-    first_child: wp.array(dtype=int),
-    first_leaf: wp.array(dtype=int),
-    boxes: wp.array(dtype=int),
-    extrema: wp.array(dtype=Any),
-    tiles: wp.array(dtype=wp.vec3i),
-    rows: wp.array(dtype=int),
-    out_buffer: wp.array(dtype=wp.uint8),
-    out_boxes: wp.array(dtype=int),
-    out_extrema: wp.array(dtype=Any),
-): ...
-
-
 @wp.kernel
+@cpp.native_item("volume/tree/node_statistics.inl", "measure_leaf")
 def leaf_kernel(
     first: int,
     begin: wp.int64,
@@ -70,10 +29,10 @@ def leaf_kernel(
     out_count: wp.array(dtype=int),
 ):
     """Writes box, flag and extrema of a leaf with values and mask, and the number of its active voxels."""
-    measure_leaf(first + wp.tid(), begin, tiles, rows, out_buffer, out_boxes, out_extrema, out_count)
 
 
 @wp.kernel
+@cpp.native_item("volume/tree/node_statistics.inl", "measure_part")
 def part_kernel(
     first: int,
     parts: int,
@@ -84,10 +43,10 @@ def part_kernel(
     out_extrema: wp.array(dtype=Any),
 ):
     """Writes box and extrema of a part of a node's children, so that no thread has to reduce a large node alone."""
-    measure_part(first + wp.tid(), parts, first_child, boxes, extrema, out_boxes, out_extrema)
 
 
 @wp.kernel
+@cpp.native_item("volume/tree/node_statistics.inl", "measure_node")
 def node_kernel(
     first: int,
     level: LevelLayout,
@@ -103,10 +62,6 @@ def node_kernel(
     out_extrema: wp.array(dtype=Any),
 ):
     """Writes box, flag and extrema of an internal node from those of its children."""
-    i = first + wp.tid()
-    measure_node(
-        i, level, parts, first_child, first_leaf, boxes, extrema, tiles, rows, out_buffer, out_boxes, out_extrema
-    )
 
 
 # The kernels of leaves, parts and nodes, by the type of the extrema.
