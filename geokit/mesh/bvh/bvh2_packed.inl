@@ -48,7 +48,7 @@ static constexpr auto is_kept = [](wp::uint64 id, int node, int most) -> bool {
 };
 
 // Writes a node of warp's tree, if it is kept, as a row of NODE_FLOATS floats, and the reference of the root.
-static constexpr auto pack_node = [](wp::uint64 id, int node, int most, float padding, const wp::array_t<int>& kept,
+static constexpr auto pack_node = [](int node, wp::uint64 id, int most, float padding, const wp::array_t<int>& kept,
                                      const wp::array_t<int>& place, wp::array_t<float>& out_leaves,
                                      wp::array_t<float>& out_nodes, wp::array_t<int>& out_root) {
     const wp::BVH& bvh = wp::mesh_get(id).bvh;

@@ -42,20 +42,6 @@ def is_kept(id: wp.uint64, node: int, most: int) -> bool:
     ...
 
 
-@cpp.func_native("mesh/bvh/bvh2_packed.inl", **NODE_CONSTANTS)
-def pack_node(
-    id: wp.uint64,
-    node: int,
-    most: int,
-    padding: wp.float32,
-    kept: wp.array(dtype=int),
-    place: wp.array(dtype=int),
-    out_leaves: wp.array(dtype=wp.float32),
-    out_nodes: wp.array(dtype=wp.float32),
-    out_root: wp.array(dtype=int),
-): ...
-
-
 @wp.kernel
 def node_count_kernel(first: int, mesh: wp.uint64, out_count: wp.array(dtype=int)):
     out_count[first + wp.tid()] = node_count(mesh)
@@ -69,6 +55,7 @@ def mark_kept_kernel(first: int, mesh: wp.uint64, most: int, out_kept: wp.array(
 
 
 @wp.kernel
+@cpp.native_item("mesh/bvh/bvh2_packed.inl", "pack_node", **NODE_CONSTANTS)
 def pack_nodes_kernel(
     first: int,
     mesh: wp.uint64,
@@ -81,4 +68,3 @@ def pack_nodes_kernel(
     out_root: wp.array(dtype=int),
 ):
     """Write the rows of the kept nodes to their places (counted from one), and the reference of the root."""
-    pack_node(mesh, first + wp.tid(), most, padding, kept, place, out_leaves, out_nodes, out_root)

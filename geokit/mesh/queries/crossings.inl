@@ -3,7 +3,7 @@
 #include "mesh/bvh/ray_walk_cuda.inl"
 
 // Their number.
-static constexpr auto count_crossings = [](int begin, int end, const wp::array_t<wp::vec3d>& origins,
+static constexpr auto count_crossings = [](int item, int group, const wp::array_t<wp::vec3d>& origins,
                                            const wp::array_t<wp::vec3d>& directions, const SurfaceTree& tree,
                                            double t_min, double max_distance, wp::array_t<int>& out_count,
                                            wp::array_t<int>& out_bad) {
@@ -12,13 +12,14 @@ static constexpr auto count_crossings = [](int begin, int end, const wp::array_t
         return false;
     };
     auto finish = [&](const auto& r) { out_count.data[r.id] = r.count; };
+    const int begin = item * group, end = wp::min(begin + group, origins.shape[0]);
     walk_rays(tree, origins, directions, begin, end, t_min, max_distance, out_bad, take_hit, finish);
 };
 
 // Their list in order, by t and then by triangle; by insertion, because rays have few. The limits of the ray were
 // applied before t is refined, as in the count of the crossings.
 static constexpr auto list_crossings =
-    [](int begin, int end, const wp::array_t<wp::vec3d>& origins, const wp::array_t<wp::vec3d>& directions,
+    [](int item, int group, const wp::array_t<wp::vec3d>& origins, const wp::array_t<wp::vec3d>& directions,
        const wp::array_t<wp::int64>& offsets, const SurfaceTree& tree, double t_min, double max_distance,
        wp::array_t<double>& out_t, wp::array_t<int>& out_triangle_id, wp::array_t<wp::vec3d>& out_barycentric,
        wp::array_t<int>& out_bad) {
@@ -40,5 +41,6 @@ static constexpr auto list_crossings =
             return false;
         };
         auto finish = [](const auto&) {};
+        const int begin = item * group, end = wp::min(begin + group, origins.shape[0]);
         walk_rays(tree, origins, directions, begin, end, t_min, max_distance, out_bad, take_hit, finish);
     };

@@ -14,38 +14,8 @@ wp.set_module_options({"enable_backward": False})
 REGISTERS = 64
 
 
-@cpp.func_native("mesh/queries/crossings.inl", **WALK_CONSTANTS, CROSSINGS=True, UNORDERED=True)
-def count_crossings(
-    begin: int,
-    end: int,
-    origins: wp.array(dtype=wp.vec3d),
-    directions: wp.array(dtype=wp.vec3d),
-    tree: SurfaceTree,
-    t_min: wp.float64,
-    max_distance: wp.float64,
-    out_count: wp.array(dtype=int),
-    out_bad: wp.array(dtype=int),
-): ...
-
-
-@cpp.func_native("mesh/queries/crossings.inl", **WALK_CONSTANTS, CROSSINGS=True, UNORDERED=True)
-def list_crossings(
-    begin: int,
-    end: int,
-    origins: wp.array(dtype=wp.vec3d),
-    directions: wp.array(dtype=wp.vec3d),
-    offsets: wp.array(dtype=wp.int64),
-    tree: SurfaceTree,
-    t_min: wp.float64,
-    max_distance: wp.float64,
-    out_t: wp.array(dtype=wp.float64),
-    out_triangle_id: wp.array(dtype=int),
-    out_barycentric: wp.array(dtype=wp.vec3d),
-    out_bad: wp.array(dtype=int),
-): ...
-
-
 @wp.kernel(cuda_max_registers=REGISTERS)
+@cpp.native_item("mesh/queries/crossings.inl", "count_crossings", **WALK_CONSTANTS, CROSSINGS=True, UNORDERED=True)
 def count_crossings_kernel(
     first: int,
     group: int,
@@ -56,13 +26,11 @@ def count_crossings_kernel(
     max_distance: wp.float64,
     out_count: wp.array(dtype=int),
     out_bad: wp.array(dtype=int),
-):
-    begin = (first + wp.tid()) * group
-    end = wp.min(begin + group, origins.shape[0])
-    count_crossings(begin, end, origins, directions, tree, t_min, max_distance, out_count, out_bad)
+): ...
 
 
 @wp.kernel(cuda_max_registers=REGISTERS)
+@cpp.native_item("mesh/queries/crossings.inl", "list_crossings", **WALK_CONSTANTS, CROSSINGS=True, UNORDERED=True)
 def list_crossings_kernel(
     first: int,
     group: int,
@@ -76,20 +44,4 @@ def list_crossings_kernel(
     out_triangle_id: wp.array(dtype=int),
     out_barycentric: wp.array(dtype=wp.vec3d),
     out_bad: wp.array(dtype=int),
-):
-    begin = (first + wp.tid()) * group
-    end = wp.min(begin + group, origins.shape[0])
-    list_crossings(
-        begin,
-        end,
-        origins,
-        directions,
-        offsets,
-        tree,
-        t_min,
-        max_distance,
-        out_t,
-        out_triangle_id,
-        out_barycentric,
-        out_bad,
-    )
+): ...

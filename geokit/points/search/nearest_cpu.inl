@@ -309,7 +309,7 @@ static constexpr auto walk = [](const NearestTree& tree, Eight& e, unsigned open
 };
 
 // Results of BLOCKS blocks of queries.
-static constexpr auto nearest_of_group = [](const NearestTree& tree, const NearestQueries& queries, int group) {
+static constexpr auto nearest_of_group = [](int group, const NearestTree& tree, const NearestQueries& queries) {
     Eight e;
     const int k = e.k = queries.k;
     e.room = k + (k < 256 ? k : 256) + 2 * LEAF + 16;

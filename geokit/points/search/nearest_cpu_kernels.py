@@ -42,8 +42,10 @@ def _exchanges(pairs: list[tuple[int, int]]) -> str:
 
 
 # CUDA has its own kernel, nearest_cuda_kernels, because its compiler has no vectors of doubles.
-@cpp.func_native(
+@wp.kernel
+@cpp.native_item(
     "points/search/nearest_cpu.inl",
+    "nearest_of_group",
     defines={
         "SORT_SIXTEEN": _exchanges(_network(16)),
         "MERGE_SIXTEEN": _exchanges([(i, i + step) for step in (8, 4, 2, 1) for i in range(16) if not i & step]),
@@ -55,10 +57,5 @@ def _exchanges(pairs: list[tuple[int, int]]) -> str:
     STACK=STACK,
     CAPACITY=CAPACITY,
 )
-def nearest_of_group(tree: NearestTree, queries: NearestQueries, group: wp.int32): ...
-
-
-@wp.kernel
 def nearest_kernel(first: int, tree: NearestTree, out_queries: NearestQueries):
     """Nearest points of BLOCKS blocks of queries."""
-    nearest_of_group(tree, out_queries, first + wp.tid())

@@ -115,7 +115,7 @@ static constexpr auto search = [](const NearestTree& tree, const NearestQueries&
 //
 // The loops have constant bounds: unrolled, everything stays in registers. A shorter list begins with entries that
 // precede every candidate, so that the last entry is always the k-th.
-static constexpr auto nearest_short = [](const NearestTree& tree, const NearestQueries& queries, int query) {
+static constexpr auto nearest_short = [](int query, const NearestTree& tree, const NearestQueries& queries) {
     Query q;
     if (!read_query(queries, query, q)) return;
     const int K = LENGTH;
@@ -167,7 +167,7 @@ static constexpr auto sift = [](double* row, int* indices, int size, double give
 };
 
 // A list of any length, as a heap in the rows of the result.
-static constexpr auto nearest_many = [](const NearestTree& tree, const NearestQueries& queries, int query) {
+static constexpr auto nearest_many = [](int query, const NearestTree& tree, const NearestQueries& queries) {
     Query q;
     if (!read_query(queries, query, q)) return;
     double* const row = q.row;

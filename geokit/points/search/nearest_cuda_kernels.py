@@ -21,45 +21,29 @@ REGISTERS = 96
 def _nearest(length: int, function: str = "nearest_short"):
     """C++ of a thread's search with a list of a length."""
     constants = {"LEAF": int(LEAF), "WIDTH": int(WIDTH), "NONE": int(NONE), "STACK": STACK, "LENGTH": length}
-    return cpp.func_native("points/search/nearest_cuda.inl", function=function, **constants)
+    return cpp.native_item("points/search/nearest_cuda.inl", function, **constants)
 
 
+@wp.kernel(cuda_max_registers=REGISTERS)
 @_nearest(8)
-def nearest_8(tree: NearestTree, queries: NearestQueries, query: wp.int32): ...
+def nearest_8_kernel(first: int, tree: NearestTree, out_queries: NearestQueries):
+    """Lists of up to 8 points, in registers."""
 
 
+@wp.kernel(cuda_max_registers=REGISTERS)
 @_nearest(16)
-def nearest_16(tree: NearestTree, queries: NearestQueries, query: wp.int32): ...
+def nearest_16_kernel(first: int, tree: NearestTree, out_queries: NearestQueries):
+    """Lists of up to 16 points, in registers."""
 
 
+@wp.kernel(cuda_max_registers=REGISTERS)
 @_nearest(32)
-def nearest_32(tree: NearestTree, queries: NearestQueries, query: wp.int32): ...
+def nearest_32_kernel(first: int, tree: NearestTree, out_queries: NearestQueries):
+    """Lists of up to 32 points, in registers."""
 
 
 # The length of a heap is that of the result.
-@_nearest(1, "nearest_many")
-def nearest_many(tree: NearestTree, queries: NearestQueries, query: wp.int32): ...
-
-
-@wp.kernel(cuda_max_registers=REGISTERS)
-def nearest_8_kernel(first: int, tree: NearestTree, out_queries: NearestQueries):
-    """Lists of up to 8 points, in registers."""
-    nearest_8(tree, out_queries, first + wp.tid())
-
-
-@wp.kernel(cuda_max_registers=REGISTERS)
-def nearest_16_kernel(first: int, tree: NearestTree, out_queries: NearestQueries):
-    """Lists of up to 16 points, in registers."""
-    nearest_16(tree, out_queries, first + wp.tid())
-
-
-@wp.kernel(cuda_max_registers=REGISTERS)
-def nearest_32_kernel(first: int, tree: NearestTree, out_queries: NearestQueries):
-    """Lists of up to 32 points, in registers."""
-    nearest_32(tree, out_queries, first + wp.tid())
-
-
 @wp.kernel
+@_nearest(1, "nearest_many")
 def nearest_many_kernel(first: int, tree: NearestTree, out_queries: NearestQueries):
     """Lists of any length, as a heap in the result."""
-    nearest_many(tree, out_queries, first + wp.tid())

@@ -3,7 +3,7 @@
 #include "volume/isosurface/blocks_around.inl"
 
 // Writes the eight planes of a leaf: bit masks of the voxels below the limit.
-static constexpr auto leaf_sides = [](const auto& cells, int leaf, float limit) {
+static constexpr auto leaf_sides = [](int leaf, const auto& cells, float limit) {
     const float* value = (const float*)(cells.values + cells.stride * (u64)leaf);
     u64* out = cells.sides.data + 8ll * leaf;
     #if defined(__CUDA_ARCH__)
@@ -21,7 +21,7 @@ static constexpr auto leaf_sides = [](const auto& cells, int leaf, float limit) 
 };
 
 // Writes a row of eight voxels of a leaf: a byte of a plane.
-static constexpr auto row_sides = [](const auto& cells, int row, float limit) {
+static constexpr auto row_sides = [](int row, const auto& cells, float limit) {
     const float* value = (const float*)(cells.values + cells.stride * (u64)(row >> 6)) + 8 * (row & 63);
     unsigned char bits = 0;
     for (int z = 0; z < 8; ++z) bits |= (unsigned char)(value[z] < limit) << z;

@@ -55,18 +55,6 @@ class Tree:
 
 
 @cpp.func_native("volume/isosurface/cells.inl")
-def leaf_sides(cells: Cells, leaf: int, limit: wp.float32):
-    """Writes the eight planes of a leaf: bit masks of the voxels below the limit."""
-    ...
-
-
-@cpp.func_native("volume/isosurface/cells.inl")
-def row_sides(cells: Cells, row: int, limit: wp.float32):
-    """Writes a row of eight voxels of a leaf: a byte of a plane."""
-    ...
-
-
-@cpp.func_native("volume/isosurface/cells.inl")
 def lower_at(volume: wp.uint64, grid_type: int, tree: Tree, i: int, j: int, k: int) -> wp.int64: ...
 
 
@@ -106,13 +94,15 @@ def tile_ref(volume: wp.uint64, isovalue: wp.float64, i: int, j: int, k: int) ->
 
 
 @wp.kernel
+@cpp.native_item("volume/isosurface/cells.inl", "leaf_sides")
 def leaf_sides_kernel(first: int, cells: Cells, limit: wp.float32):
-    leaf_sides(cells, first + wp.tid(), limit)
+    """Writes the eight planes of a leaf: bit masks of the voxels below the limit."""
 
 
 @wp.kernel
+@cpp.native_item("volume/isosurface/cells.inl", "row_sides")
 def row_sides_kernel(first: int, cells: Cells, limit: wp.float32):
-    row_sides(cells, first + wp.tid(), limit)
+    """Writes a row of eight voxels of a leaf: a byte of a plane."""
 
 
 @wp.kernel

@@ -314,13 +314,13 @@ static constexpr auto find_roots = [](const Rays& rays, Brackets& found, World& 
     }
 };
 
-// Writes the hits of the rays `start` to `stop`; sets out_bad and writes nothing if a ray is not usable.
-static constexpr auto first_crossings = [](int start, int stop, const wp::array_t<wp::vec3d>& origins,
+// Writes the hits of the rays of a packet; sets out_bad and writes nothing if a ray is not usable.
+static constexpr auto first_crossings = [](int packet, const wp::array_t<wp::vec3d>& origins,
                                            const wp::array_t<wp::vec3d>& directions, const RayField& field,
                                            double t_min, double max_distance, double isovalue, auto below, auto above,
                                            wp::array_t<double>& out_t, wp::array_t<wp::vec3d>& out_points,
                                            wp::array_t<wp::vec3d>& out_normals, wp::array_t<int>& out_bad) {
-    const int count = stop - start < G ? stop - start : G;
+    const int start = packet * G, left = origins.shape[0] - start, count = left < G ? left : G;
     World world;
     Rays rays;
     Brackets found;

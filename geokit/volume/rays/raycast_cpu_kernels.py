@@ -17,35 +17,16 @@ PACKET = wp.constant(16)
 LARGEST_SUM = 1e300
 
 
-@cpp.func_native(
+# An item is a packet of rays. Of one that is not usable the host then refuses the whole batch and names its row.
+@wp.kernel
+@cpp.native_item(
     "volume/rays/raycast_cpu.inl",
+    "first_crossings",
     G=int(PACKET),
     LARGEST_SUM=LARGEST_SUM,
     SHORTEST_DIRECTION=float(SHORTEST_DIRECTION),
     **NUMBERS,
 )
-def first_crossings(
-    start: int,
-    stop: int,
-    origins: wp.array(dtype=wp.vec3d),
-    directions: wp.array(dtype=wp.vec3d),
-    field: RayField,
-    t_min: wp.float64,
-    max_distance: wp.float64,
-    isovalue: wp.float64,
-    below: Any,
-    above: Any,
-    out_t: wp.array(dtype=wp.float64),
-    out_points: wp.array(dtype=wp.vec3d),
-    out_normals: wp.array(dtype=wp.vec3d),
-    out_bad: wp.array(dtype=int),
-):
-    """Writes the hits of the rays ``start`` to ``stop``. Sets ``out_bad`` and writes nothing if a ray is not usable."""
-    ...
-
-
-# An item is a packet of rays.
-@wp.kernel
 def raycast_packets_kernel(
     first: int,
     origins: wp.array(dtype=wp.vec3d),
@@ -60,26 +41,7 @@ def raycast_packets_kernel(
     out_points: wp.array(dtype=wp.vec3d),
     out_normals: wp.array(dtype=wp.vec3d),
     out_bad: wp.array(dtype=int),
-):
-    start = (first + wp.tid()) * PACKET
-    stop = wp.min(start + PACKET, origins.shape[0])
-    # Of a ray that is not usable the host then refuses the whole batch and names the first bad row.
-    first_crossings(
-        start,
-        stop,
-        origins,
-        directions,
-        field,
-        t_min,
-        max_distance,
-        isovalue,
-        below,
-        above,
-        out_t,
-        out_points,
-        out_normals,
-        out_bad,
-    )
+): ...
 
 
 # Keys: whether the grid holds floats.

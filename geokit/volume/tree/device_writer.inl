@@ -33,9 +33,10 @@ static constexpr auto link_word = [](int item, const auto& level, const wp::arra
 };
 
 // Copies a row of 64 values of 32 bits of any type, and their mask.
-static constexpr auto copy_plane = [](int leaf, int x, long long begin, const wp::array_t<int>& order,
+static constexpr auto copy_plane = [](int plane, long long begin, const wp::array_t<int>& order,
                                       const wp::array_t<int>& values, const wp::array_t<uint64_t>& masks,
                                       wp::array_t<uint8_t>& out_buffer) {
+    const int leaf = plane >> 3, x = plane & 7;
     unsigned char* out = out_buffer.data + begin + 2144ll * leaf;
     const unsigned* from = (const unsigned*)values.data + 512ll * order.data[leaf] + 64 * x;
     unsigned* to = (unsigned*)(out + 96) + 64 * x;

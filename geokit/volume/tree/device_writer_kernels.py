@@ -106,19 +106,8 @@ def link_kernel(
     """Writes 64 slots of a node: offsets of the children, tiles between them, and a word of the child mask."""
 
 
-@cpp.func_native("volume/tree/device_writer.inl")
-def copy_plane(
-    leaf: int,
-    x: int,
-    begin: wp.int64,
-    order: wp.array(dtype=int),
-    values: wp.array(dtype=int),
-    masks: wp.array(dtype=wp.uint64),
-    out_buffer: wp.array(dtype=wp.uint8),
-): ...
-
-
 @wp.kernel
+@cpp.native_item("volume/tree/device_writer.inl", "copy_plane")
 def copy_leaves_kernel(
     first: int,
     begin: wp.int64,
@@ -128,5 +117,3 @@ def copy_leaves_kernel(
     out_buffer: wp.array(dtype=wp.uint8),
 ):
     """Copies a plane of a leaf's values (as bits) and of its mask, from rows in another order."""
-    i = first + wp.tid()
-    copy_plane(i >> 3, i & 7, begin, order, values, masks, out_buffer)
