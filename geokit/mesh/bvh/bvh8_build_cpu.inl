@@ -353,13 +353,15 @@ static constexpr auto write_reference = [](int i, const wp::array_t<wp::vec3d>& 
 // place `base` on, until their children hold at most `limit` references. Those children are left to build_subtree, as
 // child number -1 - subtree.
 static constexpr auto build_top =
-    [](const wp::array_t<float>& references, const wp::array_t<wp::uint8>& sides, int tree, int begin, int end,
-       int base, int limit, int capacity, const wp::array_t<int>& scratch, wp::array_t<float>& boxes,
-       wp::array_t<int>& children, wp::array_t<int>& out_subtree, wp::array_t<int>& out_size) {
+    [](int tree, const wp::array_t<float>& references, const wp::array_t<wp::uint8>& sides,
+       const wp::array_t<int>& begins, const wp::array_t<int>& bases, const wp::array_t<int>& limits,
+       const wp::array_t<int>& scratch, wp::array_t<float>& boxes, wp::array_t<int>& children,
+       wp::array_t<int>& out_subtree, wp::array_t<int>& out_size) {
+        const int base = bases.data[tree], limit = limits.data[tree], capacity = bases.data[tree + 1] - base;
         const Build build = {(v8*)references.data, sides.data};
         Range root;
-        root.begin = begin;
-        root.end = end;
+        root.begin = begins.data[tree];
+        root.end = begins.data[tree + 1];
         bound(build, root);
         Range* waiting = (Range*)(scratch.data + (long long)WAITING_WORDS * base);
         int* depth = (int*)(waiting + capacity);
@@ -393,9 +395,12 @@ static constexpr auto build_top =
 // Builds one subtree. Its nodes get numbers from node_base on, parents before children. Its leaves are written from
 // position `begin` on, which has room for one leaf per reference.
 static constexpr auto build_subtree =
-    [](const wp::array_t<float>& references, const wp::array_t<wp::uint8>& sides, int subtree, int begin, int end,
-       int start_depth, int node_base, wp::array_t<float>& boxes, wp::array_t<int>& children,
-       wp::array_t<int>& leaf_begin, wp::array_t<int>& leaf_end, wp::array_t<int>& out_size) {
+    [](int subtree, const wp::array_t<float>& references, const wp::array_t<wp::uint8>& sides,
+       const wp::array_t<int>& subtrees, const wp::array_t<int>& node_bases, wp::array_t<float>& boxes,
+       wp::array_t<int>& children, wp::array_t<int>& leaf_begin, wp::array_t<int>& leaf_end,
+       wp::array_t<int>& out_size) {
+        const int* row = subtrees.data + 3 * subtree;
+        const int begin = row[0], end = row[1], start_depth = row[2], node_base = node_bases.data[subtree];
         const Build build = {(v8*)references.data, sides.data};
         Range root;
         root.begin = begin;
@@ -439,7 +444,7 @@ static constexpr auto build_subtree =
 
 // Recomputes the boxes of the nodes from those of the leaves' blocks. Children have larger numbers than their parents:
 // from the last node to the first, everything below a node is done before it.
-static constexpr auto refit_nodes = [](int count, const wp::array_t<int>& children,
+static constexpr auto refit_nodes = [](int, int count, const wp::array_t<int>& children,
                                        const wp::array_t<float>& block_boxes, wp::array_t<float>& boxes) {
     for (int node = count - 1; node >= 0; --node) {
         for (int c = 0; c < WIDTH; ++c) {

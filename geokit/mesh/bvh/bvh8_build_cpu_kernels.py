@@ -88,42 +88,8 @@ def references_kernel(
     write_reference(i, vertices, faces, origins[tree], scales[tree], out_references)
 
 
-@cpp.func_native("mesh/bvh/bvh8_build_cpu.inl", **_CONSTANTS)
-def build_top(
-    references: wp.array(dtype=wp.float32),
-    sides: wp.array(dtype=wp.uint8),
-    tree: int,
-    begin: int,
-    end: int,
-    base: int,
-    limit: int,
-    capacity: int,
-    scratch: wp.array(dtype=int),
-    boxes: wp.array(dtype=wp.float32),
-    children: wp.array(dtype=int),
-    out_subtree: wp.array(dtype=int),
-    out_size: wp.array(dtype=int),
-): ...
-
-
-@cpp.func_native("mesh/bvh/bvh8_build_cpu.inl", **_CONSTANTS)
-def build_subtree(
-    references: wp.array(dtype=wp.float32),
-    sides: wp.array(dtype=wp.uint8),
-    subtree: int,
-    begin: int,
-    end: int,
-    start_depth: int,
-    node_base: int,
-    boxes: wp.array(dtype=wp.float32),
-    children: wp.array(dtype=int),
-    leaf_begin: wp.array(dtype=int),
-    leaf_end: wp.array(dtype=int),
-    out_size: wp.array(dtype=int),
-): ...
-
-
 @wp.kernel
+@cpp.native_item("mesh/bvh/bvh8_build_cpu.inl", "build_top", **_CONSTANTS)
 def top_kernel(
     first: int,
     references: wp.array(dtype=wp.float32),
@@ -138,25 +104,10 @@ def top_kernel(
     out_size: wp.array(dtype=int),
 ):
     """One item is one tree: a single thread builds its top. ``begin`` and ``base`` have one entry more."""
-    tree = first + wp.tid()
-    build_top(
-        references,
-        sides,
-        tree,
-        begin[tree],
-        begin[tree + 1],
-        base[tree],
-        limit[tree],
-        base[tree + 1] - base[tree],
-        scratch,
-        out_boxes,
-        out_children,
-        out_subtree,
-        out_size,
-    )
 
 
 @wp.kernel
+@cpp.native_item("mesh/bvh/bvh8_build_cpu.inl", "build_subtree", **_CONSTANTS)
 def subtree_kernel(
     first: int,
     references: wp.array(dtype=wp.float32),
@@ -168,22 +119,7 @@ def subtree_kernel(
     out_leaf_begin: wp.array(dtype=int),
     out_leaf_end: wp.array(dtype=int),
     out_size: wp.array(dtype=int),
-):
-    i = first + wp.tid()
-    build_subtree(
-        references,
-        sides,
-        i,
-        subtree[3 * i],
-        subtree[3 * i + 1],
-        subtree[3 * i + 2],
-        node_base[i],
-        out_boxes,
-        out_children,
-        out_leaf_begin,
-        out_leaf_end,
-        out_size,
-    )
+): ...
 
 
 @wp.kernel
@@ -291,16 +227,8 @@ def block_boxes_kernel(
         out_boxes[6 * block + 3 + k] = -rounded_down(-upper[k])
 
 
-@cpp.func_native("mesh/bvh/bvh8_build_cpu.inl", **_CONSTANTS)
-def refit_nodes(
-    count: int,
-    children: wp.array(dtype=int),
-    block_boxes: wp.array(dtype=wp.float32),
-    boxes: wp.array(dtype=wp.float32),
-): ...
-
-
 @wp.kernel
+@cpp.native_item("mesh/bvh/bvh8_build_cpu.inl", "refit_nodes", **_CONSTANTS)
 def refit_kernel(
     first: int,
     count: int,
@@ -309,4 +237,3 @@ def refit_kernel(
     out_boxes: wp.array(dtype=wp.float32),
 ):
     """Launched for one item: there are few nodes compared with triangles."""
-    refit_nodes(count, children, block_boxes, out_boxes)

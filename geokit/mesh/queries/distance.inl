@@ -267,7 +267,7 @@ static constexpr auto nearest_pair = [](int item, const wp::array_t<wp::vec3d>& 
 };
 
 // Writes the nearest points of two triangles [world], one of each.
-static constexpr auto points_of_pair = [](const wp::array_t<wp::vec3d>& corners, int slot, const SurfaceTree& tree,
+static constexpr auto points_of_pair = [](int, const wp::array_t<wp::vec3d>& corners, int slot, const SurfaceTree& tree,
                                           int other, double unit, wp::array_t<wp::vec3d>& out_points) {
     point t[3], u[3], x, y;
     for (int k = 0; k < 3; ++k) {

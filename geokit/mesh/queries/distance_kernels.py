@@ -44,17 +44,6 @@ def nearest_pair(
     ...
 
 
-@cpp.func_native("mesh/queries/distance.inl", **_CONSTANTS)
-def points_of_pair(
-    corners: wp.array(dtype=wp.vec3d),
-    slot: int,
-    tree: SurfaceTree,
-    other: int,
-    unit: wp.float64,
-    out_points: wp.array(dtype=wp.vec3d),
-): ...
-
-
 @wp.kernel
 def bound_by_corners_kernel(
     first: int,
@@ -100,6 +89,7 @@ def nearest_pair_kernel(
 
 
 @wp.kernel
+@cpp.native_item("mesh/queries/distance.inl", "points_of_pair", **_CONSTANTS)
 def points_of_pair_kernel(
     first: int,
     corners: wp.array(dtype=wp.vec3d),
@@ -108,5 +98,4 @@ def points_of_pair_kernel(
     other: int,
     unit: wp.float64,
     out_points: wp.array(dtype=wp.vec3d),
-):
-    points_of_pair(corners, slot, tree, other, unit, out_points)
+): ...

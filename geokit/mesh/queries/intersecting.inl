@@ -73,10 +73,12 @@ static constexpr auto count_pairs = [](int item, const SurfaceTree& surface, con
 };
 
 // Writes pairs of triangles; within one surface, the lower one first.
-static constexpr auto fill_pairs = [](int item, wp::int64 at, const SurfaceTree& surface, const SurfaceTree& tree,
+static constexpr auto fill_pairs = [](int i, const wp::array_t<int>& items, const wp::array_t<wp::int64>& offsets,
+                                      const SurfaceTree& surface, const SurfaceTree& tree,
                                       const wp::array_t<float>& slot_boxes, bool itself, double unit,
                                       wp::array_t<int>& out_pairs) {
-    visit_pairs(item, surface, tree, slot_boxes, itself, unit, [&](int slot, int other) {
+    wp::int64 at = offsets.data[i];
+    visit_pairs(items.data[i], surface, tree, slot_boxes, itself, unit, [&](int slot, int other) {
         const int one = surface.slot_triangle.data[slot], another = tree.slot_triangle.data[other];
         const bool turned = itself && one > another;
         out_pairs.data[2 * at] = turned ? another : one;

@@ -30,19 +30,6 @@ PAIR_CONSTANTS = {
 
 
 @cpp.func_native("mesh/queries/intersecting.inl", **BOX_CONSTANTS, **PAIR_CONSTANTS)
-def fill_pairs(
-    item: int,
-    offset: wp.int64,
-    surface: SurfaceTree,
-    tree: SurfaceTree,
-    slot_boxes: wp.array(dtype=wp.float32),
-    itself: bool,
-    unit: wp.float64,
-    out_pairs: wp.array(dtype=int),
-): ...
-
-
-@cpp.func_native("mesh/queries/intersecting.inl", **BOX_CONSTANTS, **PAIR_CONSTANTS)
 def find_pair(
     item: int,
     surface: SurfaceTree,
@@ -68,6 +55,7 @@ def count_pairs_kernel(
 
 
 @wp.kernel
+@cpp.native_item("mesh/queries/intersecting.inl", "fill_pairs", **BOX_CONSTANTS, **PAIR_CONSTANTS)
 def fill_pairs_kernel(
     first: int,
     items: wp.array(dtype=int),
@@ -80,8 +68,6 @@ def fill_pairs_kernel(
     out_pairs: wp.array(dtype=int),
 ):
     """Write the pairs of the items that have any, each item from its offset in the list."""
-    i = first + wp.tid()
-    fill_pairs(items[i], offsets[i], surface, tree, slot_boxes, itself, unit, out_pairs)
 
 
 @wp.kernel

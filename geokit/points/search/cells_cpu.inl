@@ -3,13 +3,14 @@
 #include "points/search/cell_along_cpu.inl"
 
 // First step: the cell of each point of a share, and the number of the share's points in each cell.
-static constexpr auto count = [](const auto& points, const CellGrid& grid, int share, int begin, int end,
-                                 int cell_count, wp::array_t<int>& out_key, wp::array_t<int>& out_counts) {
+static constexpr auto count = [](int item, const auto& points, const CellGrid& grid, int share, int cell_count,
+                                 wp::array_t<int>& out_key, wp::array_t<int>& out_counts) {
+    const int begin = item * share, end = wp::min(begin + share, points.shape[0]);
     typedef decltype(points.data[0][0] + points.data[0][0]) real;
     typedef real given __attribute__((ext_vector_type(8), aligned(4)));
     CellGrid cells = grid;
     int entered = -1;
-    int* const counts = out_counts.data + (int64_t)(share)*cell_count;
+    int* const counts = out_counts.data + (int64_t)(item)*cell_count;
     auto add = [&](int point, int x, int y, int z) {
         const int key = (int)cells.base + (z * cells.count_y + y) * cells.count_x + x;
         out_key.data[point] = key;
@@ -48,15 +49,16 @@ static constexpr auto count = [](const auto& points, const CellGrid& grid, int s
 };
 
 // Last step: each point of a share goes to the next free position of its cell. Only four bytes a point are scattered.
-static constexpr auto place = [](const wp::array_t<int>& key, int share, int begin, int end, int cell_count,
+static constexpr auto place = [](int item, const wp::array_t<int>& key, int share, int cell_count,
                                  const wp::array_t<int>& next_place, CellGrid& grid) {
-    int* const next = next_place.data + (int64_t)(share)*cell_count;
+    const int begin = item * share, end = wp::min(begin + share, key.shape[0]);
+    int* const next = next_place.data + (int64_t)(item)*cell_count;
     for (int point = begin; point < end; ++point) grid.index.data[next[key.data[point]]++] = point;
 };
 
 // Gathers the coordinates of points in sorted order, one array for each axis.
-static constexpr auto gather = [](const auto& points, const wp::array_t<int>& order, int begin, int end,
-                                  CellGrid& grid) {
+static constexpr auto gather = [](int item, const auto& points, const wp::array_t<int>& order, CellGrid& grid) {
+    const int begin = item * GATHERED, end = wp::min(begin + GATHERED, points.shape[0]);
     // Scalar loads: on processors with the microcode mitigation for gather instructions, a gather takes ten times as
     // long.
     #pragma clang loop vectorize(disable)
