@@ -11,8 +11,8 @@ hold -1 minus the number of their component.
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.core import cpp
 from geokit.core.atomic_kernels import add_to, unite
-from geokit.core.cpp import cpp
 from geokit.core.scan_kernels import begin_of
 from geokit.points.search.neighbors_kernels import lowest_bit
 
@@ -23,17 +23,8 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 NOT_FIRST = wp.constant(wp.uint64(0xFEFEFEFEFEFEFEFE))
 
 
-@wp.func_native(cpp("volume/components/label_row.inl"))
-def label_row(
-    words: wp.array(dtype=wp.uint64),
-    row: int,
-    out_links: wp.array(dtype=int),
-    out_first: wp.array(dtype=wp.uint64),
-    out_size: wp.array(dtype=wp.int16),
-): ...
-
-
 @wp.kernel
+@cpp.native_item("volume/components/labels.inl", "label_row")
 def rows_kernel(
     first: int,
     words: wp.array(dtype=wp.uint64),
@@ -42,7 +33,6 @@ def rows_kernel(
     out_size: wp.array(dtype=wp.int16),
 ):
     """Components within each row; bits of their first cells, and at these the numbers of their cells."""
-    label_row(words, first + wp.tid(), out_links, out_first, out_size)
 
 
 @wp.kernel
@@ -181,15 +171,9 @@ def number_firsts_kernel(
             rest = rest & (rest - wp.uint64(1))
 
 
-@wp.func_native(cpp("volume/components/name_row.inl"))
-def name_row(
-    words: wp.array(dtype=wp.uint64), row: int, names: wp.array(dtype=int), out_links: wp.array(dtype=int)
-): ...
-
-
 @wp.kernel
+@cpp.native_item("volume/components/labels.inl", "name_row")
 def names_kernel(
     first: int, words: wp.array(dtype=wp.uint64), names: wp.array(dtype=int), out_links: wp.array(dtype=int)
 ):
     """Name of the component of each set cell, 0 for others."""
-    name_row(words, first + wp.tid(), names, out_links)
