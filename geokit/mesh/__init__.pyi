@@ -50,3 +50,4 @@ from ._transfer import transfer_attributes as transfer_attributes
 # From volumes, and their values at vertices.
 from .volumes.from_volume import from_volume as from_volume, from_volume_with_deviation as from_volume_with_deviation
 from .volumes.attributes import sample_attributes as sample_attributes
+from .volumes.wrap import wrap as wrap, Wrapped as Wrapped

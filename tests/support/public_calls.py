@@ -24,7 +24,7 @@ DOORS: tuple[ModuleType, ...] = (*MORE, gk.mesh, gk.volume, gk.points, gk.render
 # What functions return. Users do not make them, so their constructors check nothing.
 RESULTS = {
     "mesh": "BoxOverlaps ClosestPoints DirectedDistance FurthestPoints HausdorffDistance MeshAudit OrientedMesh"
-    " RayHitLists RayHits SignedDistances Simplified SurfaceDistance SurfaceSamples",
+    " RayHitLists RayHits SignedDistances Simplified SurfaceDistance SurfaceSamples Wrapped",
     "volume": "ActiveVoxels ConnectedComponents Curvatures DenseGrid GridInfo MeshBand PlannedField Statistics"
     " Transmittance VolumeHits",
     "points": "Candidates ChamferDistance Cover DirectedDistance Downsampled HausdorffDistance KNearest NeighborBlock"
@@ -238,6 +238,7 @@ def _mesh_calls(s: Scene) -> Iterator[Call]:
     yield Call("mesh.from_volume(tolerance)", m.from_volume, {"volume": s.sdf, "tolerance": 0.1, **cpu})
     deviating = {"volume": s.sdf, "tolerance": 0.1, **cpu}
     yield Call("mesh.from_volume_with_deviation", m.from_volume_with_deviation, deviating)
+    yield Call("mesh.wrap", m.wrap, {"mesh": s.mesh, "tolerance": 0.3, "gap": 0.1, **cpu})
     yield Call("mesh.sample_attributes", m.sample_attributes, {"mesh": s.mesh, "volumes": {"d": s.sdf}, **cpu})
 
 

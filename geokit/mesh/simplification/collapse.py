@@ -28,7 +28,13 @@ STEPS = 1 << 14
 
 
 def collapsed(
-    mesh: TriangleMesh, limit: float, face_count: int, *, fine: bool = False, tell: Callable[[int], None] | None = None
+    mesh: TriangleMesh,
+    limit: float,
+    face_count: int,
+    *,
+    fixed: NDArray[np.bool_] | None = None,
+    fine: bool = False,
+    tell: Callable[[int], None] | None = None,
 ) -> TriangleMesh:
     """Collapse edges until none keeps the limit or ``face_count`` faces are left.
 
@@ -39,6 +45,7 @@ def collapsed(
         mesh: About unit-sized and near the origin; one vertex for each position.
         limit: Distance; inf for none.
         face_count: Wanted number of faces.
+        fixed: Whether each vertex stays as it is (V,).
         fine: Whether to look at more points, which takes several times as long.
         tell: Called with the number of faces that are left, many times.
     Returns:
@@ -64,6 +71,7 @@ def collapsed(
     first_corner, next_corner = _lists(corner, vertices)
     hold(position=mesh.vertices.copy(), face=corner.copy(), first_corner=first_corner, next_corner=next_corner)
     hold(quadric=np.empty(10 * vertices), locked=np.zeros(vertices, np.int32))
+    hold(fixed=np.zeros(vertices, np.bool_) if fixed is None else fixed)
     hold(error=np.empty(vertices), partner=np.empty(vertices, np.int32))
     hold(tried=np.empty(vertices), tried_partner=np.full(vertices, -1, np.int32))
     sample, sample_face = np.empty((0, 3)), corner[:0]

@@ -40,6 +40,8 @@ class Decimation:
     quadric: wp.array(dtype=wp.float64)
     # Vertices that stay: they are not manifold, or already gone.
     locked: wp.array(dtype=int)
+    # Vertices that were asked to stay.
+    fixed: wp.array(dtype=wp.bool)
     # The edge that each vertex has chosen; -1 for none. Then the one that it last tried in vain; a negative error for
     # none.
     error: wp.array(dtype=wp.float64)

@@ -28,7 +28,7 @@ if (!locked && ring.face_count) {
     }
     locked = met < ring.face_count;
 }
-state.locked.data[v] = locked;
+state.locked.data[v] = locked || state.fixed.data[v];
 
 double* const q = state.quadric.data + 10 * v;
 const point p = position[v];

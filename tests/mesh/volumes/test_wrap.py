@@ -1,0 +1,145 @@
+"""Closed solids around anything: each claim is checked by another way than the one that proves it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import geokit as gk
+from geokit.errors import InputError
+from geokit.mesh import TriangleMesh, audit, box, plane, sphere, torus, wrap
+from tests.support.assemblies import concatenated, turned
+
+TRIMESH = pytest.importorskip("trimesh")
+
+
+def without(mesh: TriangleMesh, share: float) -> TriangleMesh:
+    kept = np.random.default_rng(0).random(mesh.face_count) >= share
+    return TriangleMesh(mesh.vertices, mesh.faces[kept])
+
+
+def flipped(mesh: TriangleMesh, share: float) -> TriangleMesh:
+    turned = np.random.default_rng(1).random(mesh.face_count) < share
+    return TriangleMesh(mesh.vertices, np.where(turned[:, None], mesh.faces[:, ::-1], mesh.faces))
+
+
+def leaves(count: int) -> TriangleMesh:
+    rng = np.random.default_rng(2)
+    corners = rng.uniform(-1, 1, (count, 1, 3)) + 0.15 * rng.normal(size=(count, 3, 3))
+    return TriangleMesh(corners.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3))
+
+
+def cloud(count: int) -> TriangleMesh:
+    points = np.random.default_rng(3).normal(size=(count, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    return TriangleMesh(points, np.repeat(np.arange(count)[:, None], 3, axis=1))
+
+
+BALL = sphere(1.0, segments=24)
+# Name: the input, its tolerance, and the largest gap to close.
+INPUTS = {
+    "a body": (BALL, 0.1, 0.0),
+    "holes": (without(BALL, 0.05), 0.06, 0.0),
+    "holes that are closed": (without(BALL, 0.05), 0.06, 0.4),
+    "flipped faces": (flipped(torus(1.0, 0.4, segments=24, tube_segments=12), 0.3), 0.08, 0.0),
+    "faces twice": (concatenated(BALL, BALL, flipped(BALL, 1.0)), 0.1, 0.0),
+    "bodies that cross": (concatenated(box(), turned(box(), 4, 0.3)), 0.05, 0.0),
+    "loose leaves": (leaves(60), 0.06, 0.0),
+    "leaves beside each other": (leaves(60), 0.12, 0.3),
+    "nested": (concatenated(BALL, sphere(0.5, segments=12)), 0.1, 0.0),
+    "a sheet": (plane((1.0, 1.0)), 0.05, 0.0),
+    "a triangle far away": (TriangleMesh(np.eye(3) + 1e6, [[0, 1, 2]]), 0.05, 0.0),
+    "a cloud": (cloud(400), 0.15, 0.0),
+    "a cloud that is closed": (cloud(400), 0.1, 0.5),
+    "tiny": (TriangleMesh(1e-9 * np.eye(3), [[0, 1, 2]]), 5e-11, 0.0),
+}
+
+
+def distances(points: np.ndarray, mesh: TriangleMesh) -> np.ndarray:
+    """Distances by trimesh's closest points, which share no code with geokit's; around the origin, at unit size."""
+    size, middle = float(np.ptp(mesh.bounds, axis=0).max()), mesh.bounds.mean(axis=0)
+    flat, points = (mesh.vertices[mesh.faces] - middle) / size, (points - middle) / size
+    best = np.full(len(points), np.inf)
+    for rows in np.array_split(np.arange(len(points)), max(1, len(points) * len(flat) // 500_000)):
+        asked = np.repeat(points[rows], len(flat), axis=0)
+        near = TRIMESH.triangles.closest_point(np.tile(flat, (len(rows), 1, 1)), asked)
+        best[rows] = np.linalg.norm(near - asked, axis=1).reshape(len(rows), -1).min(axis=1)
+    return best * size
+
+
+@pytest.mark.parametrize("name", INPUTS)
+def test_a_wrap_is_a_solid_around_its_input_within_the_tolerance(name: str) -> None:
+    mesh, tolerance, gap = INPUTS[name]
+    found = wrap(mesh, tolerance=tolerance, gap=gap, device="cpu")
+    report = audit(found.mesh, self_intersections=True)
+    assert report.watertight
+    assert report.manifold
+    assert report.oriented
+    assert not report.inside_out
+    assert report.self_intersection_count == 0
+    assert report.component_count == found.component_count
+    assert report.euler_number == 2 * (found.component_count - found.genus)
+    assert found.deviation <= tolerance + gap
+    assert found.bridges.shape == (found.mesh.face_count,)
+    assert gap > 0.0 or not found.bridges.any()
+    # The input is inside, also between its vertices.
+    weights = np.random.default_rng(5).dirichlet((1.0, 1.0, 1.0), (8, mesh.face_count))
+    inner = np.einsum("sfk,fkj->sfj", weights, mesh.vertices[mesh.faces]).reshape(-1, 3)
+    assert gk.mesh.Surface(found.mesh, device="cpu").contains(inner, sign="winding").all()
+    # No point of the wrap is farther away than it says.
+    points = gk.mesh.sample_surface(found.mesh, 400, seed=6).points
+    far = distances(np.concatenate([points, found.mesh.vertices[:200]]), mesh)
+    assert far.max() <= found.deviation * (1.0 + 1e-6)
+    assert far.max() >= 0.5 * found.deviation
+    again = wrap(mesh, tolerance=tolerance, gap=gap, device="cpu")
+    np.testing.assert_array_equal(again.mesh.vertices, found.mesh.vertices)
+    np.testing.assert_array_equal(again.mesh.faces, found.mesh.faces)
+
+
+def test_holes_up_to_the_gap_are_closed_and_others_are_entered() -> None:
+    """A box without a side: as a shell it has twice the surface, as a body one."""
+    case = box((1.0, 1.0, 1.0))
+    above = case.vertices[case.faces].mean(axis=1)[:, 2] < 0.4
+    tub = TriangleMesh(case.vertices, case.faces[above])
+    entered, closed = (wrap(tub, tolerance=0.05, gap=gap, device="cpu").mesh for gap in (0.0, 1.5))
+    assert entered.volume < 0.4 < 0.9 < closed.volume
+    assert not gk.mesh.Surface(entered, device="cpu").contains([[0.0, 0.0, 0.0]])[0]
+
+
+def test_cavities_are_left_out_or_kept() -> None:
+    hollow = concatenated(BALL, sphere(0.5, segments=12))
+    solid, kept = (wrap(hollow, tolerance=0.1, cavities=flag, device="cpu") for flag in (False, True))
+    # Between the balls, and around the inner one.
+    assert (solid.component_count, solid.cavity_count) == (1, 3)
+    assert (kept.component_count, kept.cavity_count) == (4, 0)
+    assert kept.mesh.volume < solid.mesh.volume
+
+
+def test_faces_follow_the_tolerance_and_not_the_voxels() -> None:
+    slab = box((4.0, 4.0, 0.1))
+    found = wrap(slab, tolerance=0.05, device="cpu")
+    assert found.mesh.face_count < 200
+
+
+def test_unit_axis_and_name_stay() -> None:
+    mesh = TriangleMesh(BALL.vertices, BALL.faces, name="ball", meters_per_unit=0.001, up_axis="z")
+    found = wrap(mesh, tolerance=0.2, device="cpu").mesh
+    assert (found.name, found.meters_per_unit, found.up_axis) == ("ball", 0.001, "z")
+
+
+def test_bad_input_is_named() -> None:
+    for bad in (0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(InputError, match="tolerance"):
+            wrap(BALL, tolerance=bad)
+    for bad in (-1.0, np.nan, np.inf):
+        with pytest.raises(InputError, match="gap"):
+            wrap(BALL, tolerance=0.1, gap=bad)
+    with pytest.raises(InputError, match="cavities"):
+        wrap(BALL, tolerance=0.1, cavities=1)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"no faces.*\(i, i, i\)"):
+        wrap(TriangleMesh(BALL.vertices, BALL.faces[:0]), tolerance=0.1)
+
+
+def test_a_tolerance_that_no_memory_holds_is_refused() -> None:
+    with pytest.raises((InputError, gk.errors.DeviceMemoryError)):
+        wrap(BALL, tolerance=1e-7, device="cpu")
