@@ -394,53 +394,53 @@ static constexpr auto build_top =
 
 // Builds one subtree. Its nodes get numbers from node_base on, parents before children. Its leaves are written from
 // position `begin` on, which has room for one leaf per reference.
-static constexpr auto build_subtree =
-    [](int subtree, const wp::array_t<float>& references, const wp::array_t<wp::uint8>& sides,
-       const wp::array_t<int>& subtrees, const wp::array_t<int>& node_bases, wp::array_t<float>& boxes,
-       wp::array_t<int>& children, wp::array_t<int>& leaf_begin, wp::array_t<int>& leaf_end,
-       wp::array_t<int>& out_size) {
-        const int* row = subtrees.data + 3 * subtree;
-        const int begin = row[0], end = row[1], start_depth = row[2], node_base = node_bases.data[subtree];
-        const Build build = {(v8*)references.data, sides.data};
-        Range root;
-        root.begin = begin;
-        root.end = end;
-        bound(build, root);
-        int nodes = 0, leaves = 0;
-        auto leaf = [&](const Range& r) {
-            leaf_begin.data[begin + leaves] = r.begin;
-            leaf_end.data[begin + leaves] = r.end;
-            return -1 - leaves++;
-        };
-        if (end - begin <= WIDTH) leaf(root);
-        else {
-            Range waiting[STACK];
-            int number[STACK], depth[STACK], height = 1;
-            waiting[0] = root;
-            number[0] = nodes++;
-            depth[0] = start_depth;
-            while (height > 0) {
-                --height;
-                const int node = number[height], level = depth[height];
-                const Range range = waiting[height];
-                Range child[WIDTH];
-                const int found = open(build, range, level >= HALVING_DEPTH, child);
-                write(boxes, node_base + node, child, found);
-                for (int c = 0; c < WIDTH; ++c) {
-                    int value = NO_CHILD;
-                    if (c < found && child[c].end - child[c].begin <= WIDTH) value = leaf(child[c]);
-                    else if (c < found) {
-                        waiting[height] = child[c];
-                        depth[height] = level + 1;
-                        number[height++] = value = nodes++;
-                    }
-                    children.data[(node_base + node) * WIDTH + c] = value;
+static constexpr auto build_subtree = [](int subtree, const wp::array_t<float>& references,
+                                         const wp::array_t<wp::uint8>& sides, const wp::array_t<int>& subtrees,
+                                         const wp::array_t<int>& node_bases, wp::array_t<float>& boxes,
+                                         wp::array_t<int>& children, wp::array_t<int>& leaf_begin,
+                                         wp::array_t<int>& leaf_end, wp::array_t<int>& out_size) {
+    const int* row = subtrees.data + 3 * subtree;
+    const int begin = row[0], end = row[1], start_depth = row[2], node_base = node_bases.data[subtree];
+    const Build build = {(v8*)references.data, sides.data};
+    Range root;
+    root.begin = begin;
+    root.end = end;
+    bound(build, root);
+    int nodes = 0, leaves = 0;
+    auto leaf = [&](const Range& r) {
+        leaf_begin.data[begin + leaves] = r.begin;
+        leaf_end.data[begin + leaves] = r.end;
+        return -1 - leaves++;
+    };
+    if (end - begin <= WIDTH) leaf(root);
+    else {
+        Range waiting[STACK];
+        int number[STACK], depth[STACK], height = 1;
+        waiting[0] = root;
+        number[0] = nodes++;
+        depth[0] = start_depth;
+        while (height > 0) {
+            --height;
+            const int node = number[height], level = depth[height];
+            const Range range = waiting[height];
+            Range child[WIDTH];
+            const int found = open(build, range, level >= HALVING_DEPTH, child);
+            write(boxes, node_base + node, child, found);
+            for (int c = 0; c < WIDTH; ++c) {
+                int value = NO_CHILD;
+                if (c < found && child[c].end - child[c].begin <= WIDTH) value = leaf(child[c]);
+                else if (c < found) {
+                    waiting[height] = child[c];
+                    depth[height] = level + 1;
+                    number[height++] = value = nodes++;
                 }
+                children.data[(node_base + node) * WIDTH + c] = value;
             }
         }
-        out_size.data[2 * subtree] = nodes;
-        out_size.data[2 * subtree + 1] = leaves;
-    };
+    }
+    out_size.data[2 * subtree] = nodes;
+    out_size.data[2 * subtree + 1] = leaves;
+};
 
 // Recomputes the boxes of the nodes from those of the leaves' blocks. Children have larger numbers than their parents:
 // from the last node to the first, everything below a node is done before it.
