@@ -69,7 +69,7 @@ def union(mesh: MeshLike, *others: MeshLike) -> TriangleMesh:
     from geokit.mesh.solids.operands import as_counted
     from geokit.mesh.surfaces.surface import Surface
 
-    joined = _joined(_meshes("union", mesh, others))
+    joined = _joined(*_read("union", mesh, others))
     if not joined.face_count:
         return joined
     surface = Surface(joined, device="cpu")
@@ -115,7 +115,7 @@ def difference(mesh: MeshLike, *others: MeshLike) -> TriangleMesh:
         >>> hollow.area, hollow.volume
         (60.0, 26.0)
     """
-    return _combined("Subtract", _meshes("difference", mesh, others))
+    return _combined("Subtract", *_read("difference", mesh, others))
 
 
 @needs(_bytes, late=True)
@@ -142,14 +142,14 @@ def intersection(mesh: MeshLike, *others: MeshLike) -> TriangleMesh:
         >>> gk.mesh.intersection(gk.mesh.box(), gk.mesh.box(center=(0.5, 0.5, 0.5))).volume
         0.125
     """
-    return _combined("Intersect", _meshes("intersection", mesh, others))
+    return _combined("Intersect", *_read("intersection", mesh, others))
 
 
-def _combined(verb: Verb, meshes: list[TriangleMesh]) -> TriangleMesh:
+def _combined(verb: Verb, meshes: list[TriangleMesh], world: dict[str, Any]) -> TriangleMesh:
     from geokit.mesh.solids.operands import made_of, read_operand
     from geokit.mesh.surfaces.surface import Surface
 
-    joined = _joined(meshes)
+    joined = _joined(meshes, world)
     begins = [0, *accumulate(mesh.face_count for mesh in meshes)]
     nothing = derived(with_data(joined, vertex_data={}), np.zeros((0, 3)), joined.faces[:0], face_source=np.arange(0))
     first = meshes[0]
@@ -176,16 +176,16 @@ def _boxes_meet(one: TriangleMesh, other: TriangleMesh) -> bool:
     return bool(((one.bounds[0] <= other.bounds[1]) & (other.bounds[0] <= one.bounds[1])).all())
 
 
-def _meshes(verb: str, mesh: MeshLike, others: tuple[MeshLike, ...]) -> list[TriangleMesh]:
+def _read(verb: str, mesh: MeshLike, others: tuple[MeshLike, ...]) -> tuple[list[TriangleMesh], dict[str, Any]]:
+    """The meshes, and the unit and the axis up that they say together."""
     if isinstance(mesh, (list, tuple)) and mesh and all(isinstance(one, TriangleMesh) for one in mesh):
         raise InputError(f"mesh: a {type(mesh).__name__} of meshes; give each of them: {verb}(*meshes)")
     named = {"mesh": mesh, **{f"others[{number}]": other for number, other in enumerate(others)}}
     meshes = {name: require_mesh(each, name) for name, each in named.items()}
-    require_one_world(**meshes)
-    return [*meshes.values()]
+    return [*meshes.values()], require_one_world(**meshes)
 
 
-def _joined(meshes: list[TriangleMesh]) -> TriangleMesh:
+def _joined(meshes: list[TriangleMesh], world: dict[str, Any]) -> TriangleMesh:
     """One mesh of all of them, each with its vertices and as a part."""
     if len(meshes) == 1:
         return meshes[0]
@@ -202,10 +202,7 @@ def _joined(meshes: list[TriangleMesh]) -> TriangleMesh:
             MeshPart(mesh.name or str(number), int(end) - mesh.face_count, mesh.face_count)
             for number, (mesh, end) in enumerate(zip(meshes, face_ends, strict=True))
         ),
-        {
-            **require_one_world(**{str(number): mesh for number, mesh in enumerate(meshes)}),
-            "face_data": _in_all(meshes),
-        },
+        {**world, "face_data": _in_all(meshes)},
     )
 
 

@@ -286,10 +286,11 @@ def require_finite_scalar(value: Any, name: str, *, low: float = -np.inf, infini
     """
     number = require_number(value, name)
     # Threads of jax take denormal numbers for 0, such as the bound below 0 that lets 0 pass.
-    is_above = number > low or (number == 0.0 and math.copysign(1.0, low) < 0.0)
+    from_zero = low > -1e-300 and math.copysign(1.0, low) < 0.0
+    is_above = number > low or (number == 0.0 and from_zero)
     if math.isnan(number) or not is_above or (math.isinf(number) and not infinite):
         kind = "a number" if infinite else "a finite number"
-        above = f" greater than {low:g}" if low > -np.inf else ""
+        above = ", 0 or more" if from_zero else f" greater than {low:g}" if low > -np.inf else ""
         raise InputError(f"{name}: {number} is not usable; give {kind}{above}")
     return number
 

@@ -6,6 +6,7 @@ merged, and what is left is held against the input: that surface is the answer, 
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from geokit.core import launcher
 from geokit.core.frame import Frame
 from geokit.core.interop.types import Device, MeshLike
-from geokit.core.interop.user_arrays import require_finite_scalar, require_number
+from geokit.core.interop.user_arrays import require_finite_scalar
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_flag
 from geokit.errors import InputError
@@ -81,9 +82,11 @@ def wrap(
     returned, for all points of its faces; nothing is asked of the input.
 
     Everything grows by about half the tolerance, and edges are rounded off within it. Sheets become plates of about the
-    tolerance. Holes, cracks and slots narrower than ``gap``, or than the tolerance, are closed. Through others the wrap
-    goes inside, and covers what is there too: a body with a hole is closed from both sides of its wall. What
-    cannot be reached from outside is left out, unless ``cavities`` are asked for.
+    tolerance. Holes and cracks in the walls of a body are closed if they are narrower than ``gap``, or than the
+    tolerance. Between sheets that have both sides outside, only those narrower than about 1.3 times the square root of
+    ``tolerance * gap`` are. Through others the wrap goes inside, and covers what is there too: a body with a hole is
+    closed from both sides of its wall. What cannot be reached from outside is left out, unless ``cavities`` are asked
+    for.
 
     Time and memory go with the area over the square of the tolerance; with a hundredth of the size it takes seconds.
     Faces are merged on one CPU thread. More of them are left where sheets are nearer to each other than the tolerance.
@@ -91,7 +94,7 @@ def wrap(
     Args:
         mesh: Anything with faces. A face may be a point: rows (i, i, i) wrap a cloud.
         tolerance: Largest distance of the wrap from the input [world].
-        gap: Largest width of holes and slots to close [world].
+        gap: Largest width of holes to close in the walls of bodies [world].
         cavities: Whether to keep the walls of cavities.
         device: Where distances are measured; None for the first GPU, else the CPU.
     Returns:
@@ -111,9 +114,7 @@ def wrap(
     """
     given = require_mesh(mesh, "mesh")
     tolerance = require_finite_scalar(tolerance, "tolerance", low=0.0)
-    gap = require_number(gap, "gap")
-    if not 0.0 <= gap < np.inf:
-        raise InputError(f"gap: {gap} is not usable; give a finite width [world], 0 for none")
+    gap = require_finite_scalar(gap, "gap", low=-math.ulp(0.0))
     require_flag(cavities, "cavities")
     if not given.face_count:
         raise InputError(

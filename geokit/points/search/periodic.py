@@ -176,12 +176,12 @@ def sort_by_distance(offsets: Any, indices: Any, distance: Any) -> tuple[Any, An
     """Rows sorted by distance, then by the order in which they are given."""
     import warp as wp
 
+    from geokit.core.sorting.gather_kernels import GATHER
     from geokit.points.search import radius
-    from geokit.points.search.periodic_kernels import take_kernel
 
     device = offsets.device
     place = wp.array(np.arange(len(indices)), dtype=wp.int32, device=device)
     radius.sort_by_distance(offsets, place, distance)
     taken = wp.empty_like(indices)
-    launcher.launch(take_kernel, len(indices), [indices, place], [taken], device)
+    launcher.launch(GATHER[wp.int32], len(indices), [indices, place], [taken], device)
     return offsets, taken, distance

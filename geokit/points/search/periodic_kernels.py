@@ -220,14 +220,6 @@ def list_kernel(
 
 
 @wp.kernel
-def take_kernel(
-    first: int, values: wp.array(dtype=wp.int32), place: wp.array(dtype=wp.int32), out_values: wp.array(dtype=wp.int32)
-):
-    i = first + wp.tid()
-    out_values[i] = values[place[i]]
-
-
-@wp.kernel
 def name_kernel(first: int, count: wp.int32, of: wp.array(dtype=wp.int32), out_index: wp.array(dtype=wp.int32)):
     """The point of each neighbor, which may be an image."""
     i = first + wp.tid()

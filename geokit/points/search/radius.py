@@ -168,13 +168,14 @@ def _arranged(grid: Any, rows: "wp.array", chosen: np.ndarray | None, device: "w
     """Queries sorted by cell, only those of ``chosen`` if given, with the group of each if there are any."""
     import warp as wp
 
+    from geokit.core.sorting.gather_kernels import GATHER
     from geokit.points.search import radius_cuda_kernels as kernels
     from geokit.points.search.neighbors_kernels import Queries
 
     if chosen is not None:
         places = wp.array(chosen, dtype=wp.int32, device=device)
         picked = wp.empty(len(chosen), dtype=rows.dtype, device=device)
-        launcher.launch(kernels.PICK[rows.dtype], len(chosen), [rows, places], [picked], device)
+        launcher.launch(GATHER[rows.dtype], len(chosen), [rows, places], [picked], device)
         rows = picked
         group = None if group is None else wp.array(group.numpy()[chosen], dtype=wp.int32, device=device)
     count = len(rows)

@@ -167,13 +167,6 @@ def fill_in_groups_kernel(
 
 
 @wp.kernel
-def pick_kernel(first: int, rows: wp.array(dtype=Any), place: wp.array(dtype=wp.int32), out_rows: wp.array(dtype=Any)):
-    """Gather the rows at ``place``."""
-    i = first + wp.tid()
-    out_rows[i] = rows[place[i]]
-
-
-@wp.kernel
 def arrange_kernel(first: int, rows: wp.array(dtype=Any), order: wp.array(dtype=wp.int32), out_queries: Queries):
     """Queries in processing order."""
     i = first + wp.tid()
@@ -301,6 +294,5 @@ def pair_fill_kernel(
 
 
 ROWS = (wp.vec3d, wp.vec3f)
-PICK = {r: wp.overload(pick_kernel, {"rows": wp.array(dtype=r), "out_rows": wp.array(dtype=r)}) for r in ROWS}
 ARRANGE = {r: wp.overload(arrange_kernel, {"rows": wp.array(dtype=r)}) for r in ROWS}
 UNCOUNT = {r: wp.overload(uncount_kernel, {"rows": wp.array(dtype=r)}) for r in ROWS}

@@ -62,6 +62,7 @@ class VerletLists:
     ) -> None:
         import warp as wp
 
+        from geokit.core.sorting.gather_kernels import GATHER
         from geokit.points.search import verlet_kernels as kernels
         from geokit.points.search.cells_kernels import CellGrid
         from geokit.points.search.neighbors_kernels import Queries
@@ -92,7 +93,7 @@ class VerletLists:
         place_of = self._inverse(grid.index, places)
         lists.place = wp.empty(self._count, dtype=wp.int32, device=device)
         wp.copy(lists.place, queries.index)
-        launcher.launch(kernels.take_kernel, self._count, [place_of], [lists.place], device)
+        launcher.launch(GATHER[wp.int32], self._count, [place_of, lists.place], [lists.place], device)
         ranked, numbered = _copy(CellGrid, grid), _copy(Queries, queries)
         ranked.index = ranks
         numbered.index = wp.array(np.arange(self._count), dtype=wp.int32, device=device)
@@ -105,7 +106,7 @@ class VerletLists:
             search.launch_shares(list_kernel, self._count, given, [lists.near], device)
         else:
             lists.start, found, _ = search.fill(asked, counts, refuse)
-            launcher.launch(kernels.take_kernel, len(found), [self._inverse(ranks, places)], [found], device)
+            launcher.launch(GATHER[wp.int32], len(found), [self._inverse(ranks, places), found], [found], device)
             lists.near = found
         # Where the places are now is computed when it is needed.
         lists.at = None
@@ -220,10 +221,12 @@ class VerletLists:
 
     def named(self, places: "wp.array") -> "wp.array":
         """The point of each neighbor, in its stead."""
-        from geokit.points.search.verlet_kernels import take_kernel
+        import warp as wp
+
+        from geokit.core.sorting.gather_kernels import GATHER
 
         if self._images is not None:
-            launcher.launch(take_kernel, len(places), [self._lists.of], [places], self._device)
+            launcher.launch(GATHER[wp.int32], len(places), [self._lists.of, places], [places], self._device)
         return places
 
     def shifts(self, offsets: "wp.array", places: "wp.array") -> "wp.array":

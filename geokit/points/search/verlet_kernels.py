@@ -263,13 +263,6 @@ def rank_kernel(
 
 
 @wp.kernel
-def take_kernel(first: int, values: wp.array(dtype=wp.int32), out_places: wp.array(dtype=wp.int32)):
-    """The value at each place, in its stead."""
-    i = first + wp.tid()
-    out_places[i] = values[out_places[i]]
-
-
-@wp.kernel
 def candidate_count_kernel(first: int, lists: VerletLists, exclude_self: wp.int32, out_count: wp.array(dtype=wp.int32)):
     """Length of each list."""
     k = first + wp.tid()

@@ -106,6 +106,21 @@ def test_holes_up_to_the_gap_are_closed_and_others_are_entered() -> None:
     assert not gk.mesh.Surface(entered, device="cpu").contains([[0.0, 0.0, 0.0]])[0]
 
 
+def test_slots_between_sheets_are_closed_up_to_the_width_that_is_stated() -> None:
+    """Of sheets with both sides outside, the gap closes less than of walls: about 1.3 sqrt(tolerance * gap) = 0.18."""
+    for width, count in ((0.15, 1), (0.25, 2)):
+        side = plane((1.0, 1.0))
+        apart = concatenated(side, plane((1.0, 1.0), center=(1.0 + width, 0.0, 0.0)))
+        assert wrap(apart, tolerance=0.05, gap=0.4, device="cpu").component_count == count
+    # The same slot in the wall of a body is closed.
+    case = box((1.0, 1.0, 1.0))
+    lid = case.vertices[case.faces].mean(axis=1)[:, 2] > 0.4
+    strips = [plane((0.375, 1.0), center=(x, 0.0, 0.5)) for x in (-0.3125, 0.3125)]
+    slotted = concatenated(TriangleMesh(case.vertices, case.faces[~lid]), *strips)
+    assert wrap(slotted, tolerance=0.05, gap=0.4, device="cpu").mesh.volume > 0.9
+    assert wrap(slotted, tolerance=0.05, device="cpu").mesh.volume < 0.5
+
+
 def test_cavities_are_left_out_or_kept() -> None:
     hollow = concatenated(BALL, sphere(0.5, segments=12))
     solid, kept = (wrap(hollow, tolerance=0.1, cavities=flag, device="cpu") for flag in (False, True))
@@ -132,7 +147,7 @@ def test_bad_input_is_named() -> None:
         with pytest.raises(InputError, match="tolerance"):
             wrap(BALL, tolerance=bad)
     for bad in (-1.0, np.nan, np.inf):
-        with pytest.raises(InputError, match="gap"):
+        with pytest.raises(InputError, match=r"gap.*finite number, 0 or more"):
             wrap(BALL, tolerance=0.1, gap=bad)
     with pytest.raises(InputError, match="cavities"):
         wrap(BALL, tolerance=0.1, cavities=1)  # type: ignore[arg-type]

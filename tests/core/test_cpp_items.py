@@ -1,0 +1,42 @@
+"""Kernels that are declared by the C++ function that each item calls."""
+
+from __future__ import annotations
+
+import inspect
+from typing import Any
+
+import numpy as np
+import pytest
+import warp as wp
+
+from geokit.core import cpp, launcher
+from geokit.core.sorting.gather_kernels import GATHER
+
+
+def test_an_item_is_the_place_in_the_share_and_other_arguments_keep_their_order(monkeypatch: Any) -> None:
+    text = "static constexpr auto item = [](int i, int times, wp::array_t<int>& rows, wp::array_t<int>& out_rows) {\n"
+    text += "    out_rows.data[i] = times * rows.data[i] + i;\n};\n"
+    read = cpp._read
+    monkeypatch.setattr(cpp, "_read", lambda file: text if file == "a/test.inl" else read(file))
+
+    @wp.kernel(enable_backward=False)
+    @cpp.native_item("a/test.inl", "item")
+    def times_kernel(first: int, times: int, rows: wp.array(dtype=wp.int32), out_rows: wp.array(dtype=wp.int32)): ...
+
+    rows = wp.array(np.arange(10), dtype=wp.int32, device="cpu")
+    out = wp.zeros_like(rows)
+    launcher.launch(times_kernel, 10, [3, rows], [out], rows.device)
+    np.testing.assert_array_equal(out.numpy(), 4 * np.arange(10))
+    # Warp, tracebacks and debuggers find the text of the kernel.
+    assert "times_kernel_item(first + wp.tid(), times, rows, out_rows)" in inspect.getsource(times_kernel.func)
+
+
+@pytest.mark.parametrize("kind", GATHER)
+def test_rows_may_be_gathered_in_their_own_stead(kind: Any) -> None:
+    order = np.random.default_rng(0).permutation(50)
+    width = wp.types.type_size(kind)
+    rows = np.arange(50 * width).reshape(50, width).squeeze()
+    given, places = wp.array(rows, dtype=kind, device="cpu"), wp.array(order, dtype=wp.int32, device="cpu")
+    out = places if kind is wp.int32 else wp.empty_like(given)
+    launcher.launch(GATHER[kind], 50, [given, places], [out], given.device)
+    np.testing.assert_array_equal(out.numpy(), rows[order])
