@@ -8,7 +8,7 @@ import warp as wp
 from geokit.core import cpp
 from geokit.mesh.bvh.bvh2_packed_cuda_kernels import NODE_CONSTANTS
 from geokit.mesh.bvh.bvh8_build_cpu_kernels import STACK
-from geokit.mesh.bvh.closest_on_triangle_kernels import SLIVER_SINE_SQUARED
+from geokit.mesh.bvh.closest_on_triangle_kernels import SLIVER_SINE_SQUARED, closest_on_triangle, offset_from_triangle
 from geokit.mesh.bvh.leaf_planes_kernels import PLANE_ROWS
 from geokit.mesh.bvh.tree_kernels import BOX_PADDING, SurfaceTree
 
@@ -57,3 +57,11 @@ def slot_within(tree: SurfaceTree, p: wp.vec3d, max_squared: wp.float64, seed: i
     The choice depends on the device: on a GPU the first one in traversal order, on a CPU the nearest.
     """
     ...
+
+
+@wp.func
+def distance_from_slot(tree: SurfaceTree, slot: int, p: wp.vec3d) -> wp.float64:
+    a = tree.corners[3 * slot]
+    b = tree.corners[3 * slot + 1]
+    c = tree.corners[3 * slot + 2]
+    return wp.length(offset_from_triangle(p, a, b, c, closest_on_triangle(p, a, b, c)))

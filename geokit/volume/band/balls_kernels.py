@@ -8,8 +8,7 @@ balls may reach. So the balls that matter to a block lie in its bucket and the 2
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
-from geokit.core.scan_kernels import begin_of
+from geokit.core import cpp
 
 vec8d = wp.types.vector(length=8, dtype=wp.float64)
 
@@ -212,16 +211,8 @@ def fill_kernel(
     out_place[i] = place
 
 
-@wp.func_native(cpp("volume/band/ball_distances.inl"))
-def least_distances(
-    balls: Balls, ball: wp.array(dtype=wp.int32), begin: int, end: int, x: wp.float64, y: wp.float64, z: wp.float64,
-    band: wp.float64, slack: wp.float64,
-) -> vec8d:  # fmt: skip
-    """Least distance of eight voxels in a row to listed balls, at most the band."""
-    ...
-
-
 @wp.kernel
+@cpp.native_item("volume/band/balls.inl", "least_distances", SLACK=float(SLACK))
 def distance_kernel(
     first: int,
     balls: Balls,
@@ -232,12 +223,3 @@ def distance_kernel(
     out_distance: wp.array2d(dtype=vec8d),
 ):
     """Least distances of a row of eight voxels to the balls in its tile's list, at most the band; 64 rows to a tile."""
-    item = first + wp.tid()
-    i = item // 64
-    row = item % 64
-    corner = corners[i]
-    x = wp.float64(corner[0] + row // 8)
-    y = wp.float64(corner[1] + row % 8)
-    z = wp.float64(corner[2])
-    begin = begin_of(end, i)
-    out_distance[i, row] = least_distances(balls, ball, begin, end[i], x, y, z, band, SLACK)

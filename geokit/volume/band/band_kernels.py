@@ -4,7 +4,7 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
 
@@ -101,21 +101,8 @@ def surface_is_outside_kernel(
         out_inside[t, x] = word
 
 
-@wp.func_native(cpp("volume/band/plane_values.inl", "volume/band/plane_bits.inl"))
-def plane_bits(
-    leaf: int,
-    x: int,
-    rows: wp.array(dtype=int),
-    distance: wp.array2d(dtype=wp.float32),
-    inside: wp.array2d(dtype=wp.uint64),
-    exterior: wp.float32,
-    interior: wp.float32,
-    out_active: wp.array2d(dtype=wp.uint64),
-    out_negative: wp.array2d(dtype=wp.uint64),
-): ...
-
-
 @wp.kernel
+@cpp.native_item("volume/band/band.inl", "plane_bits")
 def bits_kernel(
     first: int,
     rows: wp.array(dtype=int),
@@ -131,27 +118,10 @@ def bits_kernel(
 
     A negative value raises ``out_some``.
     """
-    i = first + wp.tid()
-    plane_bits(i >> 3, i & 7, rows, distance, inside, exterior, interior, out_active, out_negative)
-    if out_negative[i >> 3, i & 7] != wp.uint64(0):
-        out_some[0] = 1
-
-
-@wp.func_native(cpp("volume/band/plane_values.inl", "volume/band/leaf_values.inl"))
-def plane_values(
-    leaf: int,
-    x: int,
-    begin: wp.int64,
-    rows: wp.array(dtype=int),
-    distance: wp.array2d(dtype=wp.float32),
-    inside: wp.array2d(dtype=wp.uint64),
-    exterior: wp.float32,
-    interior: wp.float32,
-    out_buffer: wp.array(dtype=wp.uint8),
-): ...
 
 
 @wp.kernel
+@cpp.native_item("volume/band/band.inl", "write_plane")
 def leaf_values_kernel(
     first: int,
     begin: wp.int64,
@@ -163,8 +133,6 @@ def leaf_values_kernel(
     out_buffer: wp.array(dtype=wp.uint8),
 ):
     """Writes the values and the mask of a plane into the leaf."""
-    i = first + wp.tid()
-    plane_values(i >> 3, i & 7, begin, rows, distance, inside, exterior, interior, out_buffer)
 
 
 @wp.kernel

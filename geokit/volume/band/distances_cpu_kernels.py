@@ -8,11 +8,11 @@ Tiles whose list of triangles overflows are searched voxel by voxel.
 import numpy as np
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 from geokit.mesh.bvh.bvh8_build_cpu_kernels import STACK
-from geokit.mesh.bvh.closest_on_triangle_kernels import SLIVER_SINE_SQUARED, closest_on_triangle, offset_from_triangle
+from geokit.mesh.bvh.closest_on_triangle_kernels import SLIVER_SINE_SQUARED
 from geokit.mesh.bvh.leaf_planes_kernels import PLANE_ROWS
-from geokit.mesh.bvh.nearest_kernels import DISTANCE_ERROR, FAR, UNBOUNDED, nearest_slot
+from geokit.mesh.bvh.nearest_kernels import DISTANCE_ERROR, FAR, UNBOUNDED, distance_from_slot, nearest_slot
 from geokit.mesh.bvh.tree_kernels import SurfaceTree
 
 # Unfused, float64 distances have the bits of every other search; float32 is fused where the C++ text says so.
@@ -26,21 +26,17 @@ BRICK_RADIUS = np.float32(0.8660255)
 STEP = np.float32(1.00001)
 
 
-@wp.func_native(
-    cpp(
-        "core/simd.inl",
-        "mesh/bvh/closest_on_triangle.inl",
-        "volume/band/tile_distances_cpu.inl",
-        SLIVER_SINE_SQUARED=SLIVER_SINE_SQUARED,
-        DISTANCE_ERROR=DISTANCE_ERROR,
-        FAR=FAR,
-        UNBOUNDED=UNBOUNDED,
-        PLANE_ROWS=PLANE_ROWS,
-        STACK=STACK,
-        LIST=LIST,
-        BRICK_RADIUS=BRICK_RADIUS,
-        STEP=STEP,
-    )
+@cpp.func_native(
+    "volume/band/distances_cpu.inl",
+    SLIVER_SINE_SQUARED=SLIVER_SINE_SQUARED,
+    DISTANCE_ERROR=DISTANCE_ERROR,
+    FAR=FAR,
+    UNBOUNDED=UNBOUNDED,
+    PLANE_ROWS=PLANE_ROWS,
+    STACK=STACK,
+    LIST=LIST,
+    BRICK_RADIUS=BRICK_RADIUS,
+    STEP=STEP,
 )
 def tile_distances(
     tree: SurfaceTree,
@@ -84,10 +80,7 @@ def tile_distance_kernel(
             distance = reach
             if slot >= 0:
                 near = slot
-                a = tree.corners[3 * slot]
-                b = tree.corners[3 * slot + 1]
-                c = tree.corners[3 * slot + 2]
-                distance = wp.length(offset_from_triangle(p, a, b, c, closest_on_triangle(p, a, b, c)))
+                distance = distance_from_slot(tree, slot, p)
             out_distance[i, n] = wp.float32(wp.min(distance, reach) - offset)
             if out_slot.shape[0] > 0:
                 out_slot[i, n] = slot

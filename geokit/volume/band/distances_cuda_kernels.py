@@ -4,8 +4,7 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.mesh.bvh.closest_on_triangle_kernels import closest_on_triangle, offset_from_triangle
-from geokit.mesh.bvh.nearest_kernels import nearest_slot
+from geokit.mesh.bvh.nearest_kernels import distance_from_slot, nearest_slot
 from geokit.mesh.bvh.tree_kernels import SurfaceTree
 
 # Unfused, a GPU gives the same bits as a CPU, and ties between triangles resolve alike.
@@ -13,14 +12,6 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": Fal
 
 # Half the diagonal of the cube of a brick's 4^3 voxel centers, rounded up [voxels].
 BRICK_RADIUS = wp.constant(wp.float64(2.5980763))
-
-
-@wp.func
-def distance_from_slot(tree: SurfaceTree, slot: int, p: wp.vec3d) -> wp.float64:
-    a = tree.corners[3 * slot]
-    b = tree.corners[3 * slot + 1]
-    c = tree.corners[3 * slot + 2]
-    return wp.length(offset_from_triangle(p, a, b, c, closest_on_triangle(p, a, b, c)))
 
 
 @wp.kernel

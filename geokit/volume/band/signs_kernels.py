@@ -9,7 +9,7 @@ flood fill is made of shifts and ands.
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
 
@@ -19,18 +19,8 @@ REGIONS = 4
 LEAST_SHARE = 0.3
 
 
-@wp.func_native(cpp("core/simd.inl", "volume/band/voxel_links.inl"))
-def write_links(
-    leaf: int,
-    x: int,
-    rows: wp.array(dtype=int),
-    distance: wp.array2d(dtype=wp.float32),
-    spacing: float,
-    out_links: wp.array2d(dtype=wp.uint64),
-): ...
-
-
 @wp.kernel
+@cpp.native_item("volume/band/signs.inl", "write_links", REGIONS=REGIONS)
 def links_kernel(
     first: int,
     rows: wp.array(dtype=int),
@@ -39,24 +29,10 @@ def links_kernel(
     out_links: wp.array2d(dtype=wp.uint64),
 ):
     """Links of each plane of a leaf to the next voxel along z, along y, and to the next plane."""
-    i = first + wp.tid()
-    write_links(i >> 3, i & 7, rows, distance, spacing, out_links)
-
-
-@wp.func_native(cpp("volume/band/flood_leaf.inl", "volume/band/find_regions.inl", REGIONS=REGIONS))
-def find_regions(
-    leaf: int,
-    rows: wp.array(dtype=int),
-    distance: wp.array2d(dtype=wp.float32),
-    all_links: wp.array2d(dtype=wp.uint64),
-    known_bits: wp.array2d(dtype=wp.uint64),
-    least: float,
-    reach: float,
-    out_seed: wp.array(dtype=int),
-): ...
 
 
 @wp.kernel
+@cpp.native_item("volume/band/signs.inl", "find_regions", REGIONS=REGIONS)
 def regions_kernel(
     first: int,
     rows: wp.array(dtype=int),
@@ -71,25 +47,10 @@ def regions_kernel(
 
     Voxels nearer to the surface than ``least`` start no region. A region beyond reach starts at any of its voxels.
     """
-    find_regions(first + wp.tid(), rows, distance, links, known, least, reach, out_seed)
-
-
-@wp.func_native(cpp("volume/band/flood_leaf.inl", "volume/band/spread_answers.inl", REGIONS=REGIONS))
-def spread(
-    leaf: int,
-    rows: wp.array(dtype=int),
-    distance: wp.array2d(dtype=wp.float32),
-    all_links: wp.array2d(dtype=wp.uint64),
-    seeds: wp.array(dtype=int),
-    answers: wp.array(dtype=wp.bool),
-    spacing: float,
-    rounds: int,
-    out_known: wp.array2d(dtype=wp.uint64),
-    out_inside: wp.array2d(dtype=wp.uint64),
-): ...
 
 
 @wp.kernel
+@cpp.native_item("volume/band/signs.inl", "spread_answers", REGIONS=REGIONS)
 def spread_kernel(
     first: int,
     rows: wp.array(dtype=int),
@@ -103,8 +64,6 @@ def spread_kernel(
     out_inside: wp.array2d(dtype=wp.uint64),
 ):
     """Spreads the answers over their regions, then in rounds to voxels that only a diagonal neighbor decides."""
-    leaf = first + wp.tid()
-    spread(leaf, rows, distance, links, seeds, answers, spacing, rounds, out_known, out_inside)
 
 
 @wp.func

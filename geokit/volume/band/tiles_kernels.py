@@ -4,8 +4,7 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.mesh.bvh.closest_on_triangle_kernels import closest_on_triangle, offset_from_triangle
-from geokit.mesh.bvh.nearest_kernels import nearest_slot, slot_within
+from geokit.mesh.bvh.nearest_kernels import distance_from_slot, nearest_slot, slot_within
 from geokit.mesh.bvh.tree_kernels import SurfaceTree
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
@@ -49,11 +48,7 @@ def near_cells_kernel(
     near = wp.where(slot >= 0, 1, 0)
     if slot >= 0 and hollow > wp.float64(0.0):
         slot = nearest_slot(tree, center, radius * radius, -1)
-        a = tree.corners[3 * slot]
-        b = tree.corners[3 * slot + 1]
-        c = tree.corners[3 * slot + 2]
-        distance = wp.length(offset_from_triangle(center, a, b, c, closest_on_triangle(center, a, b, c)))
-        if distance + around < hollow:
+        if distance_from_slot(tree, slot, center) + around < hollow:
             near = int(0)
     out_near[i] = near
 
