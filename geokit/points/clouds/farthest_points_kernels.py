@@ -8,7 +8,7 @@ cannot be split among CPU threads or GPU blocks.
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 
 # The distance of a box never exceeds that of a point inside, rounding included, only if both are rounded term by term.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
@@ -41,19 +41,6 @@ class SampledCloud:
     group_far: wp.array(dtype=wp.float64)
     group_at: wp.array(dtype=wp.int32)
     group_count: wp.int32
-
-
-@wp.func_native(
-    cpp(
-        "core/simd.inl",
-        "points/clouds/farthest_points.inl",
-        "points/clouds/farthest_points_cuda.inl",
-        "points/clouds/farthest_points_cpu.inl",
-    )
-)
-def take_farthest(
-    cloud: SampledCloud, start: wp.array(dtype=wp.int32), count: wp.int32, out_index: wp.array(dtype=wp.int32)
-): ...
 
 
 @wp.kernel
@@ -132,6 +119,7 @@ def group_box_kernel(first: int, cloud: SampledCloud):
 
 
 @wp.kernel
+@cpp.native_item("points/clouds/farthest_points.inl", "take_farthest")
 def greedy_kernel(
     first: int,
     cloud: SampledCloud,
@@ -140,4 +128,3 @@ def greedy_kernel(
     out_index: wp.array(dtype=wp.int32),
 ):
     """Select ``count`` points; all threads of the single block take part in every step."""
-    take_farthest(cloud, start, count, out_index)

@@ -8,7 +8,7 @@ offset nor the scale of the points costs digits.
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 from geokit.points.search.cells_kernels import MASK_BITS, CellGrid
 from geokit.points.search.neighbors_kernels import cells_around, lowest_bit, reach_of, row_count, row_range, within_mask
 
@@ -175,7 +175,7 @@ def plane_of(count: wp.int32, sums: wp.mat33d, rounding: wp.float64) -> Plane:
     return plane
 
 
-@wp.func_native(cpp("points/clouds/row_sums.inl"))
+@cpp.func_native("points/clouds/normals.inl")
 def row_sums(
     points: wp.array(dtype=wp.vec3d),
     neighbor: wp.array(dtype=wp.int32, ndim=2),
@@ -206,25 +206,8 @@ def place_kernel(
     out_points[i] = points[order[i]]
 
 
-@wp.func_native("""
-    const int width = neighbor.shape[1];
-    const int* const from = neighbor.data + (int64_t)row * width;
-    int* const to = out_neighbor.data + (int64_t)i * width;
-    for (int k = 0; k < width; ++k)
-        to[k] = from[k] < 0 ? -1 : place.data[from[k]];
-""")
-def place_row(
-    place: wp.array(dtype=wp.int32),
-    neighbor: wp.array(dtype=wp.int32, ndim=2),
-    row: wp.int32,
-    i: wp.int32,
-    out_neighbor: wp.array(dtype=wp.int32, ndim=2),
-):
-    """Row i of ``out_neighbor``: the positions of the points in a row of ``neighbor``. In C++, like row_sums."""
-    ...
-
-
 @wp.kernel
+@cpp.native_item("points/clouds/normals.inl", "place_row")
 def place_neighbors_kernel(
     first: int,
     order: wp.array(dtype=wp.int32),
@@ -233,8 +216,6 @@ def place_neighbors_kernel(
     out_neighbor: wp.array(dtype=wp.int32, ndim=2),
 ):
     """Rows of neighbors in the order, as positions in it."""
-    i = first + wp.tid()
-    place_row(place, neighbor, order[i], i, out_neighbor)
 
 
 @wp.kernel(cuda_max_registers=REGISTERS)

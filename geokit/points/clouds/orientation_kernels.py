@@ -14,8 +14,8 @@ good.
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.core import cpp
 from geokit.core.atomic_kernels import add_to, lower_to
-from geokit.core.cpp import cpp
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
@@ -38,12 +38,6 @@ SMALLER = wp.constant(wp.float64(6.0))
 VOLUME_RUN = wp.constant(64)
 
 
-@wp.func_native(cpp("points/clouds/flatten_link.inl"))
-def flatten(link: wp.array(dtype=wp.int64), i: wp.int32):
-    """Point the link of i directly to its root (path compression)."""
-    ...
-
-
 @wp.func_native("""
     float narrow = (float)weight;
     unsigned bits;
@@ -64,7 +58,7 @@ def edge_of(weight: wp.float64, number: wp.int64) -> wp.int64:
 def weight_of(edge: wp.int64) -> wp.float64: ...
 
 
-@wp.func_native(cpp("points/clouds/sort_edges.inl"))
+@cpp.func_native("points/clouds/orientation.inl")
 def sort_row(begin: wp.int32, count: wp.int32, values: wp.array(dtype=wp.int64)):
     """Sort ``count`` values from ``begin`` on, in place (Shell 1959, gaps of Tokuda 1992)."""
     ...
@@ -92,12 +86,9 @@ def start_kernel(
     out_link[i] = wp.int64(i) << wp.int64(1)
 
 
-@wp.func_native(cpp("points/clouds/owns_edge.inl"))
+@cpp.func_native("points/clouds/orientation.inl")
 def is_mine(neighbor: wp.array(dtype=wp.int32, ndim=2), i: wp.int32, j: wp.int32) -> wp.bool:
-    """Whether point i, which has the neighbor j, lists their edge; if both have each other, the lower index lists it.
-
-    In C++, where the loop over a row is vectorized.
-    """
+    """Whether point i, which has the neighbor j, lists their edge: if both have each other, the lower index does."""
     ...
 
 
@@ -259,9 +250,9 @@ def apply_kernel(
 
 
 @wp.kernel
+@cpp.native_item("points/clouds/orientation.inl", "flatten")
 def flatten_kernel(first: int, out_link: wp.array(dtype=wp.int64)):
-    i = first + wp.tid()
-    flatten(out_link, i)
+    """Points the link of each item directly to its root (path compression)."""
 
 
 @wp.func_native("""
