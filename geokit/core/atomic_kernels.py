@@ -7,40 +7,36 @@ Warp's own are plain reads and writes there, where geokit runs a launch in sever
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 
 wp.set_module_options({"enable_backward": False})
 
 
-@wp.func_native(cpp("core/lower_to.inl", defines={"NUMBER": "int", "ATOMIC": "int"}))
+@cpp.func_native("core/atomic.inl")
 def lower_to(values: wp.array(dtype=wp.int32), at: wp.int32, value: wp.int32):
     """``values[at] = min(values[at], value)``."""
     ...
 
 
-@wp.func_native(cpp("core/lower_to.inl", defines={"NUMBER": "int64_t", "ATOMIC": "long long"}))
+@cpp.func_native("core/atomic.inl")
 def lower_to(values: wp.array(dtype=wp.int64), at: wp.int32, value: wp.int64):  # noqa: F811
     """The same of 64-bit integers."""
     ...
 
 
-def _add_to(number: str, atomic: str, at: str) -> str:
-    return cpp("core/add_to.inl", defines={"NUMBER": number, "ATOMIC": atomic, "AT": at})
-
-
-@wp.func_native(_add_to("int", "int", "at"))
+@cpp.func_native("core/atomic.inl")
 def add_to(values: wp.array(dtype=wp.int32), at: wp.int32, value: wp.int32) -> wp.int32:
     """``values[at] += value``; returns the old value."""
     ...
 
 
-@wp.func_native(_add_to("int64_t", "unsigned long long", "at"))
+@cpp.func_native("core/atomic.inl")
 def add_to(values: wp.array(dtype=wp.int64), at: wp.int32, value: wp.int64) -> wp.int64:  # noqa: F811
     """The same of 64-bit integers."""
     ...
 
 
-@wp.func_native(_add_to("int64_t", "unsigned long long", "(int64_t)row * values.shape[1] + column"))
+@cpp.func_native("core/atomic.inl", function="add_to_cell")
 def add_to(  # noqa: F811
     values: wp.array(dtype=wp.int64, ndim=2), row: wp.int32, column: wp.int32, value: wp.int64
 ) -> wp.int64:
@@ -48,7 +44,7 @@ def add_to(  # noqa: F811
     ...
 
 
-@wp.func_native(cpp("core/unite_sets.inl"))
+@cpp.func_native("core/atomic.inl")
 def unite(parent: wp.array(dtype=wp.int32), a: wp.int32, b: wp.int32):
     """Join the sets of a and b; the lower root becomes the root of both, whatever the order of the threads.
 

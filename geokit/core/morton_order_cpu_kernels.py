@@ -7,7 +7,7 @@ As stable as one sort of all keys, so that the order is the same for any number 
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -19,39 +19,11 @@ LOW_BITS = 30 - TOP_BITS
 MANY, FEW = 1024, 24
 
 
-@wp.func_native(cpp("core/simd.inl", "core/morton_count_cpu.inl", BUCKETS=BUCKETS, LOW_BITS=LOW_BITS))
-def count_share(
-    begin: int,
-    share: int,
-    points: wp.array(dtype=wp.vec3d),
-    lower: wp.vec3d,
-    inverse_extent: wp.float64,
-    out_key: wp.array(dtype=wp.uint32),
-    out_counts: wp.array(dtype=int),
-): ...
-
-
-@wp.func_native(cpp("core/morton_place_cpu.inl", BUCKETS=BUCKETS, LOW_BITS=LOW_BITS))
-def place_share(
-    begin: int,
-    share: int,
-    keys: wp.array(dtype=wp.uint32),
-    places: wp.array(dtype=int),
-    out_pairs: wp.array(dtype=wp.uint64),
-): ...
-
-
-@wp.func_native(cpp("core/morton_sort_cpu.inl", LOW_BITS=LOW_BITS, MANY=MANY, FEW=FEW))
-def sort_bucket(
-    bucket: int,
-    start: wp.array(dtype=int),
-    pairs: wp.array(dtype=wp.uint64),
-    spare: wp.array(dtype=wp.uint64),
-    out_order: wp.array(dtype=int),
-): ...
+_CONSTANTS = {"BUCKETS": BUCKETS, "LOW_BITS": LOW_BITS, "MANY": MANY, "FEW": FEW}
 
 
 @wp.kernel
+@cpp.native_item("core/morton_order_cpu.inl", "count_share", **_CONSTANTS)
 def count_kernel(
     first: int,
     share: int,
@@ -62,10 +34,10 @@ def count_kernel(
     out_counts: wp.array(dtype=int),
 ):
     """Keys of a share of the points, and how many are in each bucket; ``out_counts`` has a row for each share."""
-    count_share((first + wp.tid()) * share, share, points, lower, inverse_extent, out_key, out_counts)
 
 
 @wp.kernel
+@cpp.native_item("core/morton_order_cpu.inl", "place_share", **_CONSTANTS)
 def place_kernel(
     first: int,
     share: int,
@@ -74,10 +46,10 @@ def place_kernel(
     out_pairs: wp.array(dtype=wp.uint64),
 ):
     """Puts the low bits of each key, and the number of its point, into its bucket; moves ``places`` on."""
-    place_share((first + wp.tid()) * share, share, keys, places, out_pairs)
 
 
 @wp.kernel
+@cpp.native_item("core/morton_order_cpu.inl", "sort_bucket", **_CONSTANTS)
 def sort_kernel(
     first: int,
     start: wp.array(dtype=int),
@@ -86,4 +58,3 @@ def sort_kernel(
     out_order: wp.array(dtype=int),
 ):
     """The points of a bucket in the order of their keys."""
-    sort_bucket(first + wp.tid(), start, pairs, spare, out_order)

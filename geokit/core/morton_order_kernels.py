@@ -4,8 +4,6 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
-
 wp.set_module_options({"enable_backward": False})
 
 # Queries between the one that is answered and the one that is prefetched; 2 to 16 make no difference.
@@ -54,7 +52,13 @@ def identity_kernel(first: int, out_index: wp.array(dtype=int)):
     out_index[i] = i
 
 
-@wp.func_native(cpp("core/prefetch_query_cpu.inl", AHEAD=AHEAD))
+@wp.func_native(f"""
+#if !defined(__CUDA_ARCH__)
+    const int next = at + {AHEAD};
+    if (next < points.shape[0]) __builtin_prefetch(points.data + order.data[next]);
+    if (next < points.shape[0]) __builtin_prefetch((const char*)(points.data + order.data[next] + 1) - 1);
+#endif
+""")
 def prefetch_query(points: wp.array(dtype=wp.vec3d), order: wp.array(dtype=int), at: int):
     """On a CPU prefetches the query AHEAD places after the one at this place of the order; on a GPU does nothing.
 

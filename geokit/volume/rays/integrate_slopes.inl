@@ -4,6 +4,7 @@
 // transmittance up to it. In a stretch of the ray (s from 0 to 1) only their integrals times 1, s, s^2 and s^3 are
 // needed, because the interpolant and all its derivatives are cubics of s. Of the light within the stretch these are
 // sums over the Gauss points of the emission: so this is the exact derivative of the quadrature.
+#include "core/atomic.inl"
 #include "volume/rays/emission.inl"
 
 struct Slopes {
@@ -103,12 +104,7 @@ static constexpr auto measure = [](const wp::array_t<int64_t>& values, long long
     const long long bits = __builtin_bit_cast(long long, share);
 #endif
     // Of a share that is not finite this is negative, less than any other.
-    const int64_t value = (2046ll << 52) - (bits & 2047ll << 52);
-#define NUMBER int64_t
-#define ATOMIC long long
-#include "core/lower_to.inl"
-#undef NUMBER
-#undef ATOMIC
+    lower_to(values, at, (int64_t)((2046ll << 52) - (bits & 2047ll << 52)));
 };
 
 // Adds a share to the sum of its value as a whole number, in any order.
@@ -116,12 +112,7 @@ static constexpr auto add_share = [](const wp::array_t<double>& least, const wp:
                                      long long place, double share) {
     const double by = least.data[place];
     if (!(by > 0.0)) return;
-    const long long amount = (long long)wp::floor(share * by * WHOLE + 0.5);
-#if defined(__CUDA_ARCH__)
-    atomicAdd((unsigned long long*)(sums.data + place), (unsigned long long)amount);
-#else
-    __atomic_fetch_add(sums.data + place, amount, __ATOMIC_RELAXED);
-#endif
+    add_at(sums.data + place, (int64_t)wp::floor(share * by * WHOLE + 0.5));
 };
 
 // The derivatives by the ray, and the least reciprocals of the values of both grids. `least` and `least_light` have an
