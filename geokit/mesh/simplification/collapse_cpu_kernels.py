@@ -4,7 +4,7 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 from geokit.mesh.bvh.closest_on_triangle_kernels import SLIVER_SINE_SQUARED
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -64,7 +64,6 @@ class Decimation:
     count: wp.array(dtype=int)
 
 
-_FILES = ["mesh/bvh/closest_on_triangle.inl", "mesh/simplification/edge_quadrics_cpu.inl"]
 _CONSTANTS = {
     "SLIVER_SINE_SQUARED": SLIVER_SINE_SQUARED,
     "MOST": MOST,
@@ -77,29 +76,17 @@ _CONSTANTS = {
 }
 
 
-@wp.func_native(cpp(*_FILES, "mesh/simplification/prepare_vertex_cpu.inl", **_CONSTANTS))
-def prepare(v: int, state: Decimation): ...
-
-
-@wp.func_native(cpp(*_FILES, **_CONSTANTS) + "#if !defined(__CUDA_ARCH__)\nchoose(v);\n#endif\n")
-def choose(v: int, state: Decimation): ...
-
-
-@wp.func_native(cpp(*_FILES, "mesh/simplification/collapse_edges_cpu.inl", **_CONSTANTS))
-def collapse(state: Decimation, wanted: int, steps: int): ...
+@wp.kernel
+@cpp.native_item("mesh/simplification/collapse_cpu.inl", "prepare", **_CONSTANTS)
+def prepare_kernel(first: int, out_state: Decimation): ...
 
 
 @wp.kernel
-def prepare_kernel(first: int, out_state: Decimation):
-    prepare(first + wp.tid(), out_state)
+@cpp.native_item("mesh/simplification/collapse_cpu.inl", "choose", **_CONSTANTS)
+def choose_kernel(first: int, out_state: Decimation): ...
 
 
 @wp.kernel
-def choose_kernel(first: int, out_state: Decimation):
-    choose(first + wp.tid(), out_state)
-
-
-@wp.kernel
+@cpp.native_item("mesh/simplification/collapse_cpu.inl", "collapse", **_CONSTANTS)
 def collapse_kernel(first: int, wanted: int, steps: int, out_state: Decimation):
     """Tries the next ``steps`` edges, until ``wanted`` faces are left."""
-    collapse(out_state, wanted, steps)
