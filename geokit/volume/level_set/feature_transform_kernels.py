@@ -10,7 +10,7 @@ from typing import Any
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 from geokit.volume.level_set.features_kernels import Features
 from geokit.volume.level_set.leaf_neighbors_kernels import bit_of
 from geokit.volume.level_set.mask_dilation_kernels import cube_around
@@ -48,7 +48,7 @@ def has_changed_kernel(
     out_has_changed[t] = wp.uint8(wp.where(some != wp.uint64(0), 1, 0))
 
 
-@wp.func_native(cpp("volume/level_set/nearest_feature.inl"))
+@cpp.func_native("volume/level_set/feature_transform.inl")
 def nearest_of(
     nearest: wp.array(dtype=int),
     changed: wp.array(dtype=wp.uint64),

@@ -4,7 +4,7 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 from geokit.volume.level_set.leaf_neighbors_kernels import value_at
 from geokit.volume.level_set.mask_dilation_kernels import corners_in_plane
 
@@ -17,7 +17,7 @@ UNIT_SLOPE = wp.constant(wp.float64(0.01))
 FARTHEST_FOOT = wp.constant(wp.float64(1.8))
 
 
-@wp.func_native(cpp("volume/level_set/interface_slope.inl"))
+@cpp.func_native("volume/level_set/interface_distance.inl")
 def slope_near(
     slopes: wp.array(dtype=wp.float32), beside: wp.array2d(dtype=int), t: int, x: int, y: int, z: int, point: wp.vec3d
 ) -> wp.vec4d:
