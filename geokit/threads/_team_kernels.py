@@ -5,7 +5,7 @@
 
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 
 wp.set_module_options({"enable_backward": False})
 
@@ -40,7 +40,7 @@ def item(share: Share, k: int):
     return (k // share.block * share.threads + share.thread) * share.block + k % share.block
 
 
-@wp.func_native(cpp("threads/barrier_cpu.inl"))
+@cpp.func_native("threads/team_cpu.inl")
 def barrier(share: Share):
     """Wait until all threads of the team have arrived; afterwards each sees what the others wrote. Call it in a kernel.
 
