@@ -4,6 +4,7 @@
 // to an anchor voxel near the middle of what the grid holds, the first of a leaf: neither the grid's place in index
 // space nor its transform's translation costs digits.
 #pragma once
+#include "volume/nanovdb/read_voxel.inl"
 
 typedef unsigned long long address;
 struct Nodes {
@@ -89,13 +90,6 @@ static constexpr auto find = [](auto& in, int x, int y, int z, int& size) -> add
     return tile != 0 ? tile : leaf_or_tile(in, i, j, k);
 };
 
-static constexpr auto read_any = [](unsigned long long volume, pnanovdb_grid_type_t grid_type, address node, int i,
-                                    int j, int k) -> double {
-#define COMPONENTS 1
-#include "volume/nanovdb/read_voxel.inl"
-#undef COMPONENTS
-};
-
 // Voxels of float grids stand in their leaf as they are.
 static constexpr auto voxel = [](const auto& in, address node, int x, int y, int z) -> decltype(in.background) {
     if constexpr (sizeof(in.background) == sizeof(float)) {
@@ -106,7 +100,7 @@ static constexpr auto voxel = [](const auto& in, address node, int x, int y, int
     } else {
         const int i = (int)((unsigned)x + (unsigned)in.anchor[0]), j = (int)((unsigned)y + (unsigned)in.anchor[1]),
                   k = (int)((unsigned)z + (unsigned)in.anchor[2]);
-        return read_any(in.volume, in.type, node, i, j, k);
+        return read_voxel(in.volume, in.type, node, i, j, k, 0.0);
     }
 };
 

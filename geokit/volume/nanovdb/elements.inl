@@ -1,3 +1,4 @@
+#pragma once
 // Macros that read the numbers that voxels consist of, for all value types.
 //
 // Expects, where the macros are used: buf; for LEAF_*: leaf (its handle), n (number of the voxel in the leaf), ijk

@@ -14,7 +14,7 @@ from typing import Any
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.core.cpp import cpp
+from geokit.core import cpp
 
 wp.set_module_options({"enable_backward": False})
 
@@ -29,7 +29,7 @@ def grid_type_of(volume: wp.uint64) -> int:
     ...
 
 
-@wp.func_native(cpp("volume/nanovdb/node_of.inl"))
+@cpp.func_native("volume/nanovdb/read_voxel.inl")
 def node_of(volume: wp.uint64, grid_type: int, i: int, j: int, k: int) -> wp.uint64:
     """The leaf of a voxel, or the tile or background in its place, as an argument of read_voxel."""
     ...
@@ -41,9 +41,9 @@ def is_leaf(node: wp.uint64) -> bool:
 
 
 # One overload for each family of value types, chosen by the type of the last argument.
-for _components, _family in ((1, wp.float64), (3, wp.vec3d), (4, wp.vec4d)):
+for _family in (wp.float64, wp.vec3d, wp.vec4d):
 
-    @wp.func_native(cpp("volume/nanovdb/read_voxel.inl", defines={"COMPONENTS": str(_components)}))
+    @cpp.func_native("volume/nanovdb/read_voxel.inl")
     def read_voxel(
         volume: wp.uint64, grid_type: int, node: wp.uint64, i: int, j: int, k: int, family: _family
     ) -> _family:
@@ -51,7 +51,7 @@ for _components, _family in ((1, wp.float64), (3, wp.vec3d), (4, wp.vec4d)):
         ...
 
 
-@wp.func_native(cpp("volume/nanovdb/float_leaf_cell.inl"))
+@cpp.func_native("volume/nanovdb/read_voxel.inl")
 def read_float_leaf_cell(volume: wp.uint64, node: wp.uint64, i: int, j: int, k: int) -> vec8d:
     """The voxels (i, j, k) to (i + 1, j + 1, k + 1), k fastest, of a float grid; all must lie in one leaf."""
     ...

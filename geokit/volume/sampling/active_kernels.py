@@ -10,7 +10,7 @@ from geokit.volume.sampling.sample_kernels import has_voxels, nearest_voxel
 wp.set_module_options({"enable_backward": False})
 
 
-@cpp.func_native("volume/sampling/is_active.inl")
+@cpp.func_native("volume/nanovdb/read_voxel.inl")
 def is_active(volume: wp.uint64, i: int, j: int, k: int) -> bool:
     """Whether a voxel, or the tile that covers it, is active."""
     ...
