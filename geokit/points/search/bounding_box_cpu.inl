@@ -1,9 +1,10 @@
-// Bounding box of the points `begin` to `end` - 1 of a share; not finite if one of the points is not.
+// Bounding box of the points of a share; not finite if one of the points is not.
 //
 // Eight consecutive points are three vectors of eight numbers, and lane e of vector v always belongs to the same axis.
 // A sum of differences keeps a non-finite value; comparisons may skip it.
-static constexpr auto box_of = [](const auto& points, int begin, int end, int share, wp::array_t<wp::vec3d>& out_lower,
+static constexpr auto box_of = [](int share, const auto& points, wp::array_t<wp::vec3d>& out_lower,
                                   wp::array_t<wp::vec3d>& out_upper) {
+    const int begin = share * SHARE, end = wp::min(begin + SHARE, points.shape[0]);
     typedef decltype(points.data[0][0] + points.data[0][0]) real;
     typedef real numbers __attribute__((ext_vector_type(8), aligned(4)));
     const real* const given = (const real*)(points.data) + 3 * (int64_t)(begin);

@@ -14,18 +14,8 @@ wp.set_module_options({"enable_backward": False})
 SHARE = wp.constant(1 << 10)
 
 
-@cpp.func_native("points/search/bounding_box_cpu.inl")
-def box_of(
-    points: wp.array(dtype=Any),
-    begin: wp.int32,
-    end: wp.int32,
-    share: wp.int32,
-    out_lower: wp.array(dtype=wp.vec3d),
-    out_upper: wp.array(dtype=wp.vec3d),
-): ...
-
-
 @wp.kernel
+@cpp.native_item("points/search/bounding_box_cpu.inl", "box_of", SHARE=int(SHARE))
 def survey_host_kernel(
     first: int,
     points: wp.array(dtype=Any),
@@ -33,9 +23,6 @@ def survey_host_kernel(
     out_upper: wp.array(dtype=wp.vec3d),
 ):
     """Bounding box of each run of SHARE consecutive points; it is not finite if one of its points is not."""
-    i = first + wp.tid()
-    begin = i * SHARE
-    box_of(points, begin, wp.min(begin + SHARE, points.shape[0]), i, out_lower, out_upper)
 
 
 SURVEY_HOST = {r: wp.overload(survey_host_kernel, {"points": wp.array(dtype=r)}) for r in (wp.vec3d, wp.vec3f)}

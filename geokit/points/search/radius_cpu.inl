@@ -212,9 +212,10 @@ static constexpr auto each_run = [](const Queries& queries, const CellGrid& grid
 //
 // The notes hold, for each query, the number of neighbors and their positions among the sorted points. The first entry
 // is 1 if the notes of all queries of the share are complete.
-static constexpr auto count_share = [](const Queries& queries, const CellGrid& grid, const wp::array_t<double>& radius,
-                                       int self_count, int note_size, int share, int first_query, int last_query,
+static constexpr auto count_share = [](int share, const Queries& queries, const CellGrid& grid,
+                                       const wp::array_t<double>& radius, int self_count, int note_size,
                                        wp::array_t<int>& out_count, wp::array_t<int>& out_note) {
+    const int first_query = share * SHARE_SIZE, last_query = wp::min(first_query + SHARE_SIZE, queries.index.shape[0]);
     const int64_t begin = (int64_t)(share)*note_size;
     bool whole = begin < out_note.shape[0];
     // Where there is no room for notes, there may be no array: no pointer is formed then.
@@ -285,10 +286,11 @@ static constexpr auto rank_keys = [](int* key, int count, int* rank) {
 };
 
 // Neighbors of each query of a share, from its offset on: by ascending index, or in the order of the cells.
-static constexpr auto fill_share = [](const Queries& queries, const CellGrid& grid, const wp::array_t<double>& radius,
-                                      int own, const wp::array_t<int64_t>& offset, const wp::array_t<int>& note,
-                                      int note_size, int share, int first_query, int last_query, bool by_index,
+static constexpr auto fill_share = [](int share, const Queries& queries, const CellGrid& grid,
+                                      const wp::array_t<double>& radius, int own, const wp::array_t<int64_t>& offset,
+                                      int note_size, const wp::array_t<int>& note, bool by_index,
                                       wp::array_t<int>& out_index, auto& out_distance) {
+    const int first_query = share * SHARE_SIZE, last_query = wp::min(first_query + SHARE_SIZE, queries.index.shape[0]);
     // Indices and distances found in one filling of the buffer.
     alignas(64) int key[room + 32], rank[RANKED + 32];
     alignas(64) double distance[room + 32];

@@ -41,40 +41,8 @@ NUMBERS = {
 }
 
 
-@cpp.func_native("points/search/radius_cpu.inl", **NUMBERS)
-def count_share(
-    queries: Queries,
-    grid: CellGrid,
-    radius: wp.array(dtype=wp.float64),
-    self_count: wp.int32,
-    note_size: wp.int32,
-    share: wp.int32,
-    first_query: wp.int32,
-    last_query: wp.int32,
-    out_count: wp.array(dtype=wp.int32),
-    out_note: wp.array(dtype=wp.int32),
-): ...
-
-
-@cpp.func_native("points/search/radius_cpu.inl", **NUMBERS)
-def fill_share(
-    queries: Queries,
-    grid: CellGrid,
-    radius: wp.array(dtype=wp.float64),
-    own: wp.int32,
-    offset: wp.array(dtype=wp.int64),
-    note: wp.array(dtype=wp.int32),
-    note_size: wp.int32,
-    share: wp.int32,
-    first_query: wp.int32,
-    last_query: wp.int32,
-    by_index: wp.bool,
-    out_index: wp.array(dtype=wp.int32),
-    out_distance: wp.array(dtype=Any),
-): ...
-
-
 @wp.kernel
+@cpp.native_item("points/search/radius_cpu.inl", "count_share", **NUMBERS)
 def count_share_kernel(
     first: int,
     queries: Queries,
@@ -89,13 +57,10 @@ def count_share_kernel(
 
     Each share stores what it finds in ``note_size`` numbers of ``out_note``, as long as there is space.
     """
-    share = first + wp.tid()
-    begin = share * SHARE
-    end = wp.min(begin + SHARE, queries.index.shape[0])
-    count_share(queries, grid, radius, self_count, note_size, share, begin, end, out_count, out_note)
 
 
 @wp.kernel
+@cpp.native_item("points/search/radius_cpu.inl", "fill_share", **NUMBERS)
 def fill_share_kernel(
     first: int,
     queries: Queries,
@@ -110,12 +75,6 @@ def fill_share_kernel(
     out_distance: wp.array(dtype=Any),
 ):
     """Neighbors of SHARE queries, each written from its offset on, by ascending index or in the order of the cells."""
-    share = first + wp.tid()
-    begin = share * SHARE
-    end = wp.min(begin + SHARE, queries.index.shape[0])
-    fill_share(
-        queries, grid, radius, own, offset, note, note_size, share, begin, end, by_index, out_index, out_distance
-    )
 
 
 # By type of the distances: with float32 a third less is written.

@@ -2,9 +2,10 @@
 #include "points/search/radius_cpu.inl"
 
 // Places of the candidates of each list of a share, from its beginning on, by ascending rank, which is grid.index.
-static constexpr auto list_places = [](const Queries& queries, const CellGrid& grid, const wp::array_t<double>& radius,
-                                       const wp::array_t<int64_t>& offset, const wp::array_t<int>& note, int note_size,
-                                       int share, int first_query, int last_query, wp::array_t<int>& out_place) {
+static constexpr auto list_places = [](int share, const Queries& queries, const CellGrid& grid,
+                                       const wp::array_t<double>& radius, const wp::array_t<int64_t>& offset,
+                                       int note_size, const wp::array_t<int>& note, wp::array_t<int>& out_place) {
+    const int first_query = share * SHARE_SIZE, last_query = wp::min(first_query + SHARE_SIZE, queries.index.shape[0]);
     alignas(64) int key[room + 32], rank[RANKED + 32];
     int written[SHARE_SIZE];
     for (int k = first_query; k < last_query; ++k) written[k - first_query] = 0;

@@ -7,27 +7,13 @@ import warp as wp
 from geokit.core import cpp
 from geokit.points.search.cells_kernels import CellGrid
 from geokit.points.search.neighbors_kernels import Queries
-from geokit.points.search.radius_cpu_kernels import NUMBERS, SHARE
+from geokit.points.search.radius_cpu_kernels import NUMBERS
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
-@cpp.func_native("points/search/verlet_cpu.inl", **NUMBERS)
-def list_places(
-    queries: Queries,
-    grid: CellGrid,
-    radius: wp.array(dtype=wp.float64),
-    offset: wp.array(dtype=wp.int64),
-    note: wp.array(dtype=wp.int32),
-    note_size: wp.int32,
-    share: wp.int32,
-    first_query: wp.int32,
-    last_query: wp.int32,
-    out_place: wp.array(dtype=wp.int32),
-): ...
-
-
 @wp.kernel
+@cpp.native_item("points/search/verlet_cpu.inl", "list_places", **NUMBERS)
 def list_kernel(
     first: int,
     queries: Queries,
@@ -39,7 +25,3 @@ def list_kernel(
     out_place: wp.array(dtype=wp.int32),
 ):
     """Candidates of SHARE points each: their places, by ascending rank, which is ``grid.index``."""
-    share = first + wp.tid()
-    begin = share * SHARE
-    end = wp.min(begin + SHARE, queries.index.shape[0])
-    list_places(queries, grid, radius, offset, note, note_size, share, begin, end, out_place)

@@ -1,6 +1,5 @@
 // The planes of leaves, their neighbors, and which blocks have crossed cells: see cells_kernels.
-#include "volume/isosurface/block_planes.inl"
-#include "volume/isosurface/blocks_around.inl"
+#include "volume/isosurface/blocks.inl"
 
 // Writes the eight planes of a leaf: bit masks of the voxels below the limit.
 static constexpr auto leaf_sides = [](int leaf, const auto& cells, float limit) {

@@ -1,5 +1,5 @@
 // Marching cubes of a plane of 64 cells: see marching_cubes_kernels.
-#include "volume/isosurface/block_planes.inl"
+#include "volume/isosurface/blocks.inl"
 
 // For each corner of the cells of a plane which are inside (c) and which are active (a); which cells have any corner
 // inside, and which have all.

@@ -3,7 +3,7 @@
 // A word of loop_table is for a case, or for a case with its problem face joined. It has two bits for the loop of each
 // edge, the number of loops, and the problem face + 1.
 #pragma once
-#include "volume/isosurface/block_planes.inl"
+#include "volume/isosurface/blocks.inl"
 
 static constexpr auto word_of = [](const auto& table, const auto& flips, int code, int plane, int bit) -> unsigned {
     return table.data[code + (int)(flips.data[plane] >> bit & 1ull) * 256];

@@ -1,5 +1,5 @@
 // Blocks of tiles with crossed cells: see tile_border_cells_kernels.
-#include "volume/isosurface/blocks_around.inl"
+#include "volume/isosurface/blocks.inl"
 
 // Which of eight tiles may have crossed cells, an active one and its neighbors towards lower indices: a bit mask by
 // direction.

@@ -2,8 +2,8 @@
 
 Warp's own ``volume_lookup*`` and ``volume_sample*`` support nine value types and return 0 for all others, such as the
 quantized ones. These functions read through PNanoVDB, which warp compiles into its kernels anyway. Finding a voxel's
-node and reading the voxel are two steps, so that the voxels of a leaf share the walk down the tree. elements.inl lists
-the value types and how their voxels are read.
+node and reading the voxel are two steps, so that the voxels of a leaf share the walk down the tree. The value types are
+listed in read_voxel.inl, with how their voxels are read.
 
 The buffer is not checked here: the caller must reject grids with damaged offsets first.
 """

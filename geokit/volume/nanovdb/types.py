@@ -1,7 +1,7 @@
 """The grid types of NanoVDB: one table, from which all other tables of types are derived.
 
 To add a type (one that NanoVDB has, see PNanoVDB.h), add a row here, the code that reads its voxels in a kernel
-(``volume/nanovdb/elements.inl``) and an example for the tests (``benchmarks/catalog/typed_grids.py``). If OpenVDB has
+(``volume/nanovdb/read_voxel.inl``) and an example for the tests (``benchmarks/catalog/typed_grids.py``). If OpenVDB has
 the type too, add it to ``native/src``.
 tests/volume/nanovdb/test_types.py reports each place that was forgotten.
 

@@ -1,5 +1,5 @@
 // Rows of stencils of grids of any type: see stencil_kernels.
-#include "volume/nanovdb/elements.inl"
+#include "volume/nanovdb/read_voxel.inl"
 #if COMPONENTS == 1
 #define TYPES SCALAR_TYPES
 #define ROW(e) row[q]

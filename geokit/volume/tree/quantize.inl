@@ -74,17 +74,20 @@ static constexpr auto leaf_error = [](const wp::array_t<uint8_t>& source, long l
     return codes_of(source, start, bits, rounding, codes, low, quantum);
 };
 
-// Writes a leaf's codes and statistics. These count steps from the minimum and are those of the active voxels. Returns
-// the largest error, and the smallest and the largest active value.
-static constexpr auto write_leaf = [](const wp::array_t<uint8_t>& source, long long start, int bits,
-                                      const wp::array_t<float>& rounding, int flags, wp::array_t<uint8_t>& target,
-                                      long long to) -> wp::vec3d {
+// Writes a leaf's codes and statistics. These count steps from the minimum and are those of the active voxels. Measures
+// are the largest error, and the smallest and the largest active value.
+static constexpr auto write_leaf = [](int item, const wp::array_t<uint8_t>& source, const wp::array_t<int64_t>& starts,
+                                      const wp::array_t<uint8_t>& widths, const wp::array_t<uint8_t>& flags,
+                                      const wp::array_t<float>& rounding, const wp::array_t<int64_t>& places,
+                                      wp::array_t<uint8_t>& target, wp::array_t<wp::vec3d>& out_measures) {
+    const long long start = starts.data[item];
+    const int bits = widths.data[item];
     unsigned short codes[512];
     float low, quantum;
     const double worst = codes_of(source, start, bits, rounding, codes, low, quantum);
-    unsigned char* leaf = target.data + to;
+    unsigned char* leaf = target.data + places.data[item];
     for (int n = 0; n < 80; ++n) leaf[n] = source.data[start + n];
-    leaf[15] = (unsigned char)((leaf[15] & 0x1f) | flags);
+    leaf[15] = (unsigned char)((leaf[15] & 0x1f) | flags.data[item]);
     unsigned short least = 65535, most = 0;
     bool some = false;
     for (int n = 0; n < 512; ++n) {
@@ -120,5 +123,5 @@ static constexpr auto write_leaf = [](const wp::array_t<uint8_t>& source, long l
         }
     }
     const float first = (float)least * quantum + low, last = (float)most * quantum + low;
-    return wp::vec3d(worst, some ? (double)first : 1.0e300, some ? (double)last : -1.0e300);
+    out_measures.data[item] = wp::vec3d(worst, some ? (double)first : 1.0e300, some ? (double)last : -1.0e300);
 };

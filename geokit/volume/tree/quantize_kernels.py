@@ -20,20 +20,6 @@ def leaf_error(
     ...
 
 
-@cpp.func_native("volume/tree/quantize.inl")
-def write_leaf(
-    source: wp.array(dtype=wp.uint8),
-    start: wp.int64,
-    bits: int,
-    rounding: wp.array(dtype=wp.float32),
-    flags: int,
-    target: wp.array(dtype=wp.uint8),
-    to: wp.int64,
-) -> wp.vec3d:
-    """Writes a float leaf as codes; returns its error as in leaf_error, and its smallest and largest active value."""
-    ...
-
-
 @wp.kernel
 def bits_kernel(
     first: int,
@@ -52,6 +38,7 @@ def bits_kernel(
 
 
 @wp.kernel
+@cpp.native_item("volume/tree/quantize.inl", "write_leaf")
 def encode_kernel(
     first: int,
     source: wp.array(dtype=wp.uint8),
@@ -64,5 +51,3 @@ def encode_kernel(
     out_measures: wp.array(dtype=wp.vec3d),
 ):
     """Writes leaves; ``measures`` holds the largest error and the smallest and largest active value of each."""
-    i = first + wp.tid()
-    out_measures[i] = write_leaf(source, starts[i], int(bits[i]), rounding, int(flags[i]), target, places[i])
