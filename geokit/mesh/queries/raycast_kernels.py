@@ -13,7 +13,10 @@ wp.set_module_options({"enable_backward": False})
 # Rays are processed in the caller's order: sorting them costs more than it gains, on a CPU and on a GPU.
 
 
-@cpp.func_native("mesh/queries/raycast.inl", **WALK_CONSTANTS, CROSSINGS=False, UNORDERED=False)
+_CONSTANTS = {**WALK_CONSTANTS, "CROSSINGS": False, "UNDECIDED": UNDECIDED, "LEFT_OVER": LEFT_OVER}
+
+
+@cpp.func_native("mesh/queries/raycast.inl", **_CONSTANTS, UNORDERED=False)
 def cast_rays(
     begin: int,
     end: int,
@@ -29,21 +32,8 @@ def cast_rays(
 ): ...
 
 
-@cpp.func_native("mesh/queries/raycast.inl", **WALK_CONSTANTS, CROSSINGS=False, UNORDERED=True)
-def test_rays(
-    begin: int,
-    end: int,
-    origins: wp.array(dtype=wp.vec3d),
-    directions: wp.array(dtype=wp.vec3d),
-    tree: SurfaceTree,
-    t_min: wp.float64,
-    max_distance: wp.float64,
-    out_occluded: wp.array(dtype=wp.bool),
-    out_bad: wp.array(dtype=int),
-): ...
-
-
 @wp.kernel
+@cpp.native_item("mesh/queries/raycast.inl", "cast_group", **_CONSTANTS, UNORDERED=False)
 def raycast_kernel(
     first: int,
     group: int,
@@ -56,25 +46,11 @@ def raycast_kernel(
     out_triangle_id: wp.array(dtype=int),
     out_barycentric: wp.array(dtype=wp.vec3d),
     out_bad: wp.array(dtype=int),
-):
-    begin = (first + wp.tid()) * group
-    end = wp.min(begin + group, origins.shape[0])
-    cast_rays(
-        begin,
-        end,
-        origins,
-        directions,
-        tree,
-        t_min,
-        max_distance,
-        out_t,
-        out_triangle_id,
-        out_barycentric,
-        out_bad,
-    )
+): ...
 
 
 @wp.kernel
+@cpp.native_item("mesh/queries/raycast.inl", "test_group", **_CONSTANTS, UNORDERED=True)
 def occluded_kernel(
     first: int,
     group: int,
@@ -85,13 +61,11 @@ def occluded_kernel(
     max_distance: wp.float64,
     out_occluded: wp.array(dtype=wp.bool),
     out_bad: wp.array(dtype=int),
-):
-    begin = (first + wp.tid()) * group
-    end = wp.min(begin + group, origins.shape[0])
-    test_rays(begin, end, origins, directions, tree, t_min, max_distance, out_occluded, out_bad)
+): ...
 
 
 @wp.kernel
+@cpp.native_item("mesh/queries/raycast.inl", "cast_undecided", **_CONSTANTS, UNORDERED=False)
 def raycast_undecided_kernel(
     first: int,
     origins: wp.array(dtype=wp.vec3d),
@@ -105,28 +79,10 @@ def raycast_undecided_kernel(
     out_bad: wp.array(dtype=int),
 ):
     """Second pass on CUDA, for the rays that the candidate search left undecided."""
-    k = first + wp.tid()
-    if out_triangle_id[k] == UNDECIDED:
-        cast_rays(
-            k,
-            k + 1,
-            origins,
-            directions,
-            tree,
-            t_min,
-            max_distance,
-            out_t,
-            out_triangle_id,
-            out_barycentric,
-            out_bad,
-        )
-
-
-@wp.func_native("return ((const unsigned char*)answers.data)[ray] == left_over;")
-def is_left_over(answers: wp.array(dtype=wp.bool), ray: int, left_over: int) -> bool: ...
 
 
 @wp.kernel
+@cpp.native_item("mesh/queries/raycast.inl", "test_left_over", **_CONSTANTS, UNORDERED=True)
 def occluded_left_over_kernel(
     first: int,
     origins: wp.array(dtype=wp.vec3d),
@@ -139,6 +95,3 @@ def occluded_left_over_kernel(
     out_bad: wp.array(dtype=int),
 ):
     """The same for any hits."""
-    k = first + wp.tid()
-    if is_left_over(out_occluded, k, LEFT_OVER):
-        test_rays(k, k + 1, origins, directions, tree, t_min, max_distance, out_occluded, out_bad)

@@ -30,23 +30,6 @@ FAR = 0.7
 NO_SLOPE = 1.0e-6
 
 
-@cpp.func_native(
-    "volume/isosurface/dual_contouring.inl", FLAT=FLAT, SWEEPS=SWEEPS, FAR=FAR, NO_SLOPE=NO_SLOPE, **NUMBERS
-)
-def sharpen_plane(
-    cells: Cells,
-    nets: Nets,
-    plane: int,
-    leaf: wp.array(dtype=int),
-    tile: wp.array(dtype=wp.float64),
-    linear: wp.mat33d,
-    offset: wp.vec3d,
-    vertex: wp.array(dtype=wp.vec3d),
-):
-    """Moves the vertices of a plane's cells."""
-    ...
-
-
 @wp.kernel
 def around_kernel(
     first: int,
@@ -73,6 +56,15 @@ def around_kernel(
 
 
 @wp.kernel
+@cpp.native_item(
+    "volume/isosurface/dual_contouring.inl",
+    "sharpen_planes",
+    FLAT=FLAT,
+    SWEEPS=SWEEPS,
+    FAR=FAR,
+    NO_SLOPE=NO_SLOPE,
+    **NUMBERS,
+)
 def sharpen_kernel(
     first: int,
     span: int,
@@ -83,6 +75,4 @@ def sharpen_kernel(
     linear: wp.mat33d,
     offset: wp.vec3d,
     out_vertex: wp.array(dtype=wp.vec3d),
-):
-    for plane in range(span * (first + wp.tid()), span * (first + wp.tid() + 1)):
-        sharpen_plane(cells, nets, plane, leaf, tile, linear, offset, out_vertex)
+): ...

@@ -157,3 +157,10 @@ static constexpr auto place_triangles =
             }
         }
     };
+static constexpr auto place_all_triangles = [](int item, int span, const Cells& cells, const wp::array_t<int>& start,
+                                               const wp::array_t<int>& edges, const wp::array_t<uint64_t>& records,
+                                               const wp::array_t<int>& base, const wp::array_t<int>& first_triangle,
+                                               int turned, wp::array_t<int>& faces) {
+    for (int plane = span * item; plane < span * (item + 1); ++plane)
+        place_triangles(cells, start, edges, plane, records, base, first_triangle, turned, faces);
+};

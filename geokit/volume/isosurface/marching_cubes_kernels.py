@@ -71,22 +71,6 @@ def place_vertex(
     ...
 
 
-@cpp.func_native("volume/isosurface/marching_cubes.inl", END=END)
-def place_triangles(
-    cells: Cells,
-    start: wp.array(dtype=int),
-    edges: wp.array(dtype=int),
-    plane: int,
-    records: wp.array(dtype=wp.uint64),
-    base: wp.array(dtype=int),
-    first_triangle: wp.array(dtype=int),
-    turned: int,
-    faces: wp.array(dtype=int),
-):
-    """Places the triangles of a plane's cells."""
-    ...
-
-
 @wp.kernel
 def count_kernel(
     first: int,
@@ -138,6 +122,7 @@ def vertices_kernel(
 
 
 @wp.kernel
+@cpp.native_item("volume/isosurface/marching_cubes.inl", "place_all_triangles", END=END)
 def triangles_kernel(
     first: int,
     span: int,
@@ -149,6 +134,4 @@ def triangles_kernel(
     first_triangle: wp.array(dtype=int),
     turned: int,
     out_faces: wp.array(dtype=int),
-):
-    for plane in range(span * (first + wp.tid()), span * (first + wp.tid() + 1)):
-        place_triangles(cells, start, edges, plane, records, base, first_triangle, turned, out_faces)
+): ...

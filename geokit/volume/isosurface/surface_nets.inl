@@ -206,3 +206,9 @@ static constexpr auto place_quads = [](const Cells& cells, const Nets& nets, int
         }
     }
 };
+static constexpr auto place_all_quads = [](int item, int span, const Cells& cells, const Nets& nets,
+                                           const wp::array_t<int>& first_quad, int turned,
+                                           const wp::array_t<wp::vec3d>& vertex, wp::array_t<int>& faces) {
+    for (int plane = span * item; plane < span * (item + 1); ++plane)
+        place_quads(cells, nets, plane, first_quad, turned, vertex, faces);
+};

@@ -65,20 +65,6 @@ def place_vertex(
     ...
 
 
-@cpp.func_native("volume/isosurface/surface_nets.inl", **NUMBERS)
-def place_quads(
-    cells: Cells,
-    nets: Nets,
-    plane: int,
-    first_quad: wp.array(dtype=int),
-    turned: int,
-    vertex: wp.array(dtype=wp.vec3d),
-    faces: wp.array(dtype=int),
-):
-    """Places two triangles for each crossed edge that a plane's cells own; quads are split at the shorter diagonal."""
-    ...
-
-
 @wp.kernel
 def vertices_kernel(
     first: int,
@@ -106,6 +92,7 @@ def vertices_kernel(
 
 
 @wp.kernel
+@cpp.native_item("volume/isosurface/surface_nets.inl", "place_all_quads", **NUMBERS)
 def quads_kernel(
     first: int,
     span: int,
@@ -115,6 +102,4 @@ def quads_kernel(
     turned: int,
     vertex: wp.array(dtype=wp.vec3d),
     out_faces: wp.array(dtype=int),
-):
-    for plane in range(span * (first + wp.tid()), span * (first + wp.tid() + 1)):
-        place_quads(cells, nets, plane, first_quad, turned, vertex, out_faces)
+): ...
