@@ -12,28 +12,17 @@ from geokit.core import cpp
 wp.set_module_options({"enable_backward": False})
 
 
-@cpp.func_native("core/atomic.inl")
-def lower_to(values: wp.array(dtype=wp.int32), at: wp.int32, value: wp.int32):
-    """``values[at] = min(values[at], value)``."""
-    ...
+for _number in (wp.int32, wp.int64):
 
+    @cpp.func_native("core/atomic.inl")
+    def lower_to(values: wp.array(dtype=_number), at: wp.int32, value: _number):
+        """``values[at] = min(values[at], value)``."""
+        ...
 
-@cpp.func_native("core/atomic.inl")
-def lower_to(values: wp.array(dtype=wp.int64), at: wp.int32, value: wp.int64):  # noqa: F811
-    """The same of 64-bit integers."""
-    ...
-
-
-@cpp.func_native("core/atomic.inl")
-def add_to(values: wp.array(dtype=wp.int32), at: wp.int32, value: wp.int32) -> wp.int32:
-    """``values[at] += value``; returns the old value."""
-    ...
-
-
-@cpp.func_native("core/atomic.inl")
-def add_to(values: wp.array(dtype=wp.int64), at: wp.int32, value: wp.int64) -> wp.int64:  # noqa: F811
-    """The same of 64-bit integers."""
-    ...
+    @cpp.func_native("core/atomic.inl")
+    def add_to(values: wp.array(dtype=_number), at: wp.int32, value: _number) -> _number:
+        """``values[at] += value``; returns the old value."""
+        ...
 
 
 @cpp.func_native("core/atomic.inl", function="add_to_cell")

@@ -328,7 +328,11 @@ static constexpr auto write = [](const wp::array_t<float>& boxes, int node, cons
 
 // Writes the reference of triangle i: its local box, rounded outward, and its area.
 static constexpr auto write_reference = [](int i, const wp::array_t<wp::vec3d>& vertices, const wp::array_t<int>& faces,
-                                           const wp::vec3d& origin, double scale, wp::array_t<float>& out_references) {
+                                           const wp::array_t<int>& begin, const wp::array_t<wp::vec3d>& origins,
+                                           const wp::array_t<double>& scales, wp::array_t<float>& out_references) {
+    const int tree = wp::lower_bound(begin, i + 1) - 1;
+    const wp::vec3d& origin = origins.data[tree];
+    const double scale = scales.data[tree];
     const int* face = faces.data + (wp::int64)3 * i;
     auto corner = [&](int k) {
         const wp::vec3d& p = vertices.data[face[k]];

@@ -10,7 +10,6 @@ import numpy as np
 import warp as wp
 
 from geokit.core import cpp
-from geokit.core.scan_kernels import part_of
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -61,18 +60,8 @@ def rounded_down(x: wp.float64) -> wp.float32:
     return f - wp.float32(1.2e-7) * wp.abs(f) - wp.float32(1.0e-30)
 
 
-@cpp.func_native("mesh/bvh/bvh8_build_cpu.inl", **_CONSTANTS)
-def write_reference(
-    i: int,
-    vertices: wp.array(dtype=wp.vec3d),
-    faces: wp.array(dtype=int),
-    origin: wp.vec3d,
-    scale: wp.float64,
-    out_references: wp.array(dtype=wp.float32),
-): ...
-
-
 @wp.kernel
+@cpp.native_item("mesh/bvh/bvh8_build_cpu.inl", "write_reference", **_CONSTANTS)
 def references_kernel(
     first: int,
     vertices: wp.array(dtype=wp.vec3d),
@@ -83,9 +72,6 @@ def references_kernel(
     out_references: wp.array(dtype=wp.float32),
 ):
     """The reference of each triangle; ``begin`` has the first triangle of each tree, and their number."""
-    i = first + wp.tid()
-    tree = part_of(begin, i)
-    write_reference(i, vertices, faces, origins[tree], scales[tree], out_references)
 
 
 @wp.kernel

@@ -3,10 +3,13 @@
 
 // Writes the eight triangles of one block: their world corners, and their planes as leaf_planes_kernels describes them.
 // The arithmetic is that of leaf_planes_kernel there, in the same order, eight triangles at a time.
-static constexpr auto place_block = [](int block, const wp::array_t<int>& slot_triangle,
+static constexpr auto place_block = [](int block, const wp::array_t<int>& begin, const wp::array_t<int>& slot_triangle,
                                        const wp::array_t<wp::vec3d>& vertices, const wp::array_t<int>& faces,
-                                       const wp::vec3d& origin, double scale, wp::array_t<wp::vec3d>& out_corners,
-                                       wp::array_t<float>& out_leaves) {
+                                       const wp::array_t<wp::vec3d>& origins, const wp::array_t<double>& scales,
+                                       wp::array_t<wp::vec3d>& out_corners, wp::array_t<float>& out_leaves) {
+    const int tree = wp::lower_bound(begin, WIDTH * block + 1) - 1;
+    const wp::vec3d& origin = origins.data[tree];
+    const double scale = scales.data[tree];
     const int* triangle = slot_triangle.data + (wp::int64)WIDTH * block;
     wp::vec3d* corner = out_corners.data + (wp::int64)3 * WIDTH * block;
     double placed[9][WIDTH];

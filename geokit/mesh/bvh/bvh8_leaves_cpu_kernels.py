@@ -6,7 +6,6 @@ import numpy as np
 import warp as wp
 
 from geokit.core import cpp
-from geokit.core.scan_kernels import part_of
 from geokit.mesh.bvh.leaf_planes_kernels import FLAT, NOWHERE, PLANE_ROWS, SHORTEST
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -39,19 +38,6 @@ _CONSTANTS = {
 
 
 @cpp.func_native("mesh/bvh/bvh8_leaves_cpu.inl", **_CONSTANTS)
-def place_block(
-    block: int,
-    slot_triangle: wp.array(dtype=int),
-    vertices: wp.array(dtype=wp.vec3d),
-    faces: wp.array(dtype=int),
-    origin: wp.vec3d,
-    scale: wp.float64,
-    out_corners: wp.array(dtype=wp.vec3d),
-    out_leaves: wp.array(dtype=wp.float32),
-): ...
-
-
-@cpp.func_native("mesh/bvh/bvh8_leaves_cpu.inl", **_CONSTANTS)
 def pack_leaf(
     block: int,
     slot_triangle: wp.array(dtype=int),
@@ -64,6 +50,7 @@ def pack_leaf(
 
 
 @wp.kernel
+@cpp.native_item("mesh/bvh/bvh8_leaves_cpu.inl", "place_block", **_CONSTANTS)
 def place_blocks_kernel(
     first: int,
     begin: wp.array(dtype=int),
@@ -76,9 +63,6 @@ def place_blocks_kernel(
     out_leaves: wp.array(dtype=wp.float32),
 ):
     """One item is a block of slots; ``begin`` has the first slot of each tree, and their number."""
-    block = first + wp.tid()
-    tree = part_of(begin, WIDTH * block)
-    place_block(block, slot_triangle, vertices, faces, origins[tree], scales[tree], out_corners, out_leaves)
 
 
 @wp.kernel

@@ -272,18 +272,12 @@ def candidate_count_kernel(first: int, lists: VerletLists, exclude_self: wp.int3
 # Warp accesses arrays through their strides: the same loop takes twice as long on a CPU.
 @wp.func_native("""
 for (int c = begin; c < end; ++c) {
-    const int p = near.data[c];
-    if (p != own) out_index.data[to++] = of.data[p];
+    const int p = lists.near.data[c];
+    if (p != own) out_index.data[to++] = lists.of.data[p];
 }
 """)
 def name_places(
-    near: wp.array(dtype=wp.int32),
-    begin: wp.int32,
-    end: wp.int32,
-    own: wp.int32,
-    of: wp.array(dtype=wp.int32),
-    to: wp.int32,
-    out_index: wp.array(dtype=wp.int32),
+    lists: VerletLists, begin: wp.int32, end: wp.int32, own: wp.int32, to: wp.int32, out_index: wp.array(dtype=wp.int32)
 ):
     """Write the points of a list, without that at place ``own``."""
     ...
@@ -307,7 +301,7 @@ def candidate_kernel(
     own = wp.int32(-1)
     if exclude_self != 0:
         own = lists.place[k]
-    name_places(lists.near, begin, end, own, lists.of, wp.int32(offset[i]), out_index)
+    name_places(lists, begin, end, own, wp.int32(offset[i]), out_index)
     if turn.shape[0] > 0:
         to = wp.int32(offset[i])
         for c in range(begin, end):

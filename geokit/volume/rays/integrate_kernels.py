@@ -27,21 +27,17 @@ NUMBERS = {"STEP_DEPTH": STEP_DEPTH, "SHORTEST_STEP": SHORTEST_STEP, "OPAQUE": O
 
 
 # Warp takes no Any where something is returned.
-@cpp.func_native("volume/rays/integrate.inl", **NUMBERS)
-def optical_depth(
-    field: RayField, start: wp.vec3d, toward: wp.vec3d, t_first: wp.float64, t_last: wp.float64, family: wp.float32
-) -> wp.float64:
-    """Integral of the values along a ray, with lengths in units of ``toward``.
+for _family in (wp.float32, wp.float64):
 
-    The type of ``family`` is float32 for grids of floats, float64 for all other types.
-    """
-    ...
+    @cpp.func_native("volume/rays/integrate.inl", **NUMBERS)
+    def optical_depth(
+        field: RayField, start: wp.vec3d, toward: wp.vec3d, t_first: wp.float64, t_last: wp.float64, family: _family
+    ) -> wp.float64:
+        """Integral of the values along a ray, with lengths in units of ``toward``.
 
-
-@cpp.func_native("volume/rays/integrate.inl", **NUMBERS)
-def optical_depth(  # noqa: F811
-    field: RayField, start: wp.vec3d, toward: wp.vec3d, t_first: wp.float64, t_last: wp.float64, family: wp.float64
-) -> wp.float64: ...
+        The type of ``family`` is float32 for grids of floats, float64 for all other types.
+        """
+        ...
 
 
 @cpp.func_native("volume/rays/integrate.inl", **NUMBERS)

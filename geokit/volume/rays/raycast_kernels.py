@@ -50,36 +50,25 @@ NUMBERS = {"ROUNDS": MOST_ITERATIONS, "RESOLUTION": RESOLUTION, "BLOCK_WORDS": B
 
 
 # Warp takes no Any where something is returned.
-@cpp.func_native("volume/rays/raycast.inl", **NUMBERS)
-def first_crossing(
-    field: RayField,
-    start: wp.vec3d,
-    toward: wp.vec3d,
-    t_first: wp.float64,
-    t_last: wp.float64,
-    isovalue: wp.float64,
-    below: wp.float32,
-    above: wp.float32,
-) -> wp.vec4d:
-    """Ray parameter of the first crossing, infinite for none, and the interpolant's gradient there in index space.
+for _voxel in (wp.float32, wp.float64):
 
-    ``below`` and ``above`` are the isovalue, or its neighbors in the voxel type if that type cannot represent it:
-    float32 for grids of floats, float64 for all other types.
-    """
-    ...
+    @cpp.func_native("volume/rays/raycast.inl", **NUMBERS)
+    def first_crossing(
+        field: RayField,
+        start: wp.vec3d,
+        toward: wp.vec3d,
+        t_first: wp.float64,
+        t_last: wp.float64,
+        isovalue: wp.float64,
+        below: _voxel,
+        above: _voxel,
+    ) -> wp.vec4d:
+        """Ray parameter of the first crossing, infinite for none, and the interpolant's gradient there in index space.
 
-
-@cpp.func_native("volume/rays/raycast.inl", **NUMBERS)
-def first_crossing(  # noqa: F811
-    field: RayField,
-    start: wp.vec3d,
-    toward: wp.vec3d,
-    t_first: wp.float64,
-    t_last: wp.float64,
-    isovalue: wp.float64,
-    below: wp.float64,
-    above: wp.float64,
-) -> wp.vec4d: ...
+        ``below`` and ``above`` are the isovalue, or its neighbors in the voxel type if that type cannot represent it:
+        float32 for grids of floats, float64 for all other types.
+        """
+        ...
 
 
 @wp.func

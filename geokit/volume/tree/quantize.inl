@@ -67,11 +67,16 @@ static constexpr auto codes_of = [](const wp::array_t<uint8_t>& source, long lon
 };
 
 // Largest error of a leaf's values as codes of `bits` bits, -1 if a value is not finite.
-static constexpr auto leaf_error = [](const wp::array_t<uint8_t>& source, long long start, int bits,
-                                      const wp::array_t<float>& rounding) -> double {
+// Smallest width in bits that keeps a leaf's error within its tolerance, 16 if none does.
+static constexpr auto fewest_bits = [](int item, const wp::array_t<uint8_t>& source, const wp::array_t<int64_t>& starts,
+                                       const wp::array_t<double>& tolerance, const wp::array_t<float>& rounding,
+                                       wp::array_t<uint8_t>& out_bits) {
     unsigned short codes[512];
     float low, quantum;
-    return codes_of(source, start, bits, rounding, codes, low, quantum);
+    int bits = 1;
+    while (bits < 16 && codes_of(source, starts.data[item], bits, rounding, codes, low, quantum) > tolerance.data[item])
+        bits *= 2;
+    out_bits.data[item] = (uint8_t)bits;
 };
 
 // Writes a leaf's codes and statistics. These count steps from the minimum and are those of the active voxels. Measures

@@ -12,15 +12,8 @@ from geokit.core import cpp
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
 
-@cpp.func_native("volume/tree/quantize.inl")
-def leaf_error(
-    source: wp.array(dtype=wp.uint8), start: wp.int64, bits: int, rounding: wp.array(dtype=wp.float32)
-) -> wp.float64:
-    """Largest error of a leaf's values as codes of ``bits`` bits; -1 if a value is not finite."""
-    ...
-
-
 @wp.kernel
+@cpp.native_item("volume/tree/quantize.inl", "fewest_bits")
 def bits_kernel(
     first: int,
     source: wp.array(dtype=wp.uint8),
@@ -30,11 +23,6 @@ def bits_kernel(
     out_bits: wp.array(dtype=wp.uint8),
 ):
     """Smallest width in bits that keeps a leaf's error within its tolerance, 16 if none does."""
-    i = first + wp.tid()
-    bits = int(1)
-    while bits < 16 and leaf_error(source, starts[i], bits, rounding) > tolerance[i]:
-        bits *= 2
-    out_bits[i] = wp.uint8(bits)
 
 
 @wp.kernel
