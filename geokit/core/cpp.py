@@ -6,11 +6,8 @@ the declaration, where C++ has no functions but lambdas: they are ``static const
 stand outside of a function too. Compilers thus read each file by itself, with the declarations that ``python -m
 tests.sanitize.alone`` writes.
 
-Older files hold the statements of a function body (:func:`cpp`). The first comment of such a file lists the names that
-it expects in scope and those that it defines. Concatenated files share a scope.
-
 A line ``#include "mesh/bvh/boxes.inl"`` in a file stands for the lines of that file, once where that has
-``#pragma once``; ``#include NAME`` for those of the file that ``defines`` gives a name: a hook of more than a line.
+``#pragma once``.
 """
 
 import inspect
@@ -85,34 +82,31 @@ def native_item(file: str, function: str, **given: Any) -> Callable[[Callable[..
     return declare
 
 
-def cpp(*files: str, defines: dict[str, str] | None = None, **constants: int | float) -> str:
-    """Concatenate C++ files into one text for ``wp.func_native``.
+def cpp(file: str, *, defines: dict[str, str] | None = None, **constants: int | float) -> str:
+    """The text of a C++ file for ``wp.func_native``.
 
     Args:
-        files: Paths relative to the package's folder, such as "volume/rays/raycast_cpu.inl".
-        defines: Macros for these files (hooks, type names); they are undefined after the last file.
-        constants: Declared as ``constexpr`` before the first file. A bool or an int becomes an ``int``, a float a
+        file: Path relative to the package's folder, such as "volume/rays/raycast_cpu.inl".
+        defines: Macros for the file, which are undefined after it.
+        constants: Declared as ``constexpr`` before the file. A bool or an int becomes an ``int``, a float a
             ``double``, and a NumPy scalar the C++ type of its width.
     """
     lines = [f"constexpr {_type(value)} {name} = {_literal(value)};" for name, value in constants.items()]
     lines += [f"#define {name} {text}" for name, text in (defines or {}).items()]
-    once: set[str] = set()
-    for file in files:
-        # With #line, compilers and sanitizers report the file and line of the .inl file.
-        lines += _expanded(file, defines or {}, once)
+    # With #line, compilers and sanitizers report the file and line of the .inl file.
+    lines += _expanded(file, set())
     lines += [f"#undef {name.partition('(')[0]}" for name in defines or {}]
     return "\n" + "\n".join(lines) + "\n"
 
 
-def _expanded(file: str, defines: dict[str, str], once: set[str]) -> list[str]:
+def _expanded(file: str, once: set[str]) -> list[str]:
     if file in once:
         return []
     lines = [f'#line 1 "geokit/{file}"']
     for number, line in enumerate(_read(file).splitlines(), 1):
         name = line.strip().removeprefix("#include ")
-        # A hook without a file stays as it is, for behind #ifdef.
-        if line.lstrip().startswith("#include ") and (name in defines or name.startswith('"')):
-            lines += _expanded(defines.get(name, name).strip('"'), defines, once)
+        if line.lstrip().startswith('#include "'):
+            lines += _expanded(name.strip('"'), once)
             lines.append(f'#line {number + 1} "geokit/{file}"')
         elif line == "#pragma once":
             once.add(file)

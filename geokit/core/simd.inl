@@ -1,7 +1,6 @@
 // Vector types of the CPU branch: clang's, so arithmetic, comparison and ?: work lane by lane, and [j] is a lane.
 //
-// On a CPU only, the types below (letter: element, digit: lanes), mask_of and mask_of_four. Put it first in a cpp() call,
-// once for each function.
+// On a CPU only, the types below (letter: element, digit: lanes), mask_of and mask_of_four.
 #pragma once
 #if !defined(__CUDA_ARCH__)
 // The alignment is that of one element: a pointer to any element may be cast to a pointer to the vector that starts
@@ -27,8 +26,6 @@ static constexpr auto mask_of = [](auto lanes) {
 static constexpr auto mask_of_four = [](auto lanes) {
     return (unsigned)__builtin_bit_cast(unsigned char, __builtin_convertvector(lanes, b4)) & 15u;
 };
-#endif
-#if !defined(__CUDA_ARCH__)
 // Sixteen lanes.
 typedef float v16 __attribute__((ext_vector_type(16), aligned(4)));
 typedef double d16 __attribute__((ext_vector_type(16), aligned(8)));

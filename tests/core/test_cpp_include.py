@@ -7,15 +7,12 @@ from pathlib import Path
 import pytest
 
 from geokit.core import cpp as module
-from geokit.points.search.radius_cpu_kernels import count_share
+from geokit.volume.band.distances_cpu_kernels import tile_distances
 from tests.sanitize import generated
 
 OUTER = """// Adds.
     double sum = STEP;
 #include "core/inner.inl"
-#ifdef LATER
-#include LATER
-#endif
     return sum;"""
 
 
@@ -24,7 +21,6 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     (tmp_path / "core").mkdir()
     (tmp_path / "core" / "outer.inl").write_text(OUTER)
     (tmp_path / "core" / "inner.inl").write_text("    sum += 2.0;")
-    (tmp_path / "core" / "later.inl").write_text("    sum *= 3.0;")
     monkeypatch.setattr(module, "_PACKAGE", tmp_path)
     module._read.cache_clear()
     yield
@@ -45,20 +41,12 @@ def numbered(text: str) -> dict[str, tuple[str, int]]:
 
 
 def test_lines_keep_their_numbers(package):
-    text = module.cpp("core/outer.inl", defines={"LATER": '"core/later.inl"'}, STEP=1.5)
+    text = module.cpp("core/outer.inl", STEP=1.5)
     places = numbered(text)
     assert places["double sum = STEP;"] == ("geokit/core/outer.inl", 2)
     assert places["sum += 2.0;"] == ("geokit/core/inner.inl", 1)
-    assert places["sum *= 3.0;"] == ("geokit/core/later.inl", 1)
-    assert places["return sum;"] == ("geokit/core/outer.inl", 7)
+    assert places["return sum;"] == ("geokit/core/outer.inl", 4)
     assert "#include" not in text
-
-
-def test_a_hook_without_a_file_stays_behind_its_condition(package):
-    places = numbered(module.cpp("core/outer.inl", STEP=1.5))
-    assert places["#include LATER"] == ("geokit/core/outer.inl", 5)
-    assert "sum *= 3.0;" not in places
-    assert places["return sum;"] == ("geokit/core/outer.inl", 7)
 
 
 def test_a_file_is_included_once_where_it_says_so(package, tmp_path):
@@ -68,25 +56,24 @@ def test_a_file_is_included_once_where_it_says_so(package, tmp_path):
     assert text.count("sum += 2.0;") == 1
     places = numbered(text)
     assert places["sum += 2.0;"] == ("geokit/core/inner.inl", 2)
-    assert places["return sum;"] == ("geokit/core/outer.inl", 7)
+    assert places["return sum;"] == ("geokit/core/outer.inl", 4)
     assert places["last();"] == ("geokit/core/twice.inl", 3)
     assert "#pragma" not in text
 
 
 def test_a_declaration_calls_the_function_of_its_name():
-    lines = count_share.native_snippet.split()
+    lines = tile_distances.native_snippet.split()
     assert lines[:3] == ["#if", "!defined(__CUDA_ARCH__)", "using"]
-    assert "using Queries = decltype(queries);\n" in count_share.native_snippet
-    assert "return count_share(queries, grid, radius, self_count," in count_share.native_snippet
+    assert "using SurfaceTree = decltype(tree);\n" in tile_distances.native_snippet
+    assert "return tile_distances(tree, voxel, translation," in tile_distances.native_snippet
     assert lines[-1] == "#endif"
 
 
 def test_lines_of_included_files_are_told_apart():
-    text = count_share.native_snippet.splitlines()
-    found = list(generated.regions(count_share.native_snippet))
-    assert {region.path.rsplit("/")[-1] for region in found} == {
-        "radius_cpu.inl", "simd.inl", "cell_along_cpu.inl", "sort_rows.inl"
-    }  # fmt: skip
+    text = tile_distances.native_snippet.splitlines()
+    found = list(generated.regions(tile_distances.native_snippet))
+    files = {region.path.rsplit("/")[-1] for region in found}
+    assert files == {"distances_cpu.inl", "simd.inl", "closest_on_triangle.inl"}
     for region in found:
         lines = (generated.ROOT / region.path).read_text(encoding="utf-8").splitlines()
         for k in range(region.count):

@@ -2,7 +2,7 @@
 
 That is what warp writes before the file: the structs of its kernels and the constants of its module. They go to a
 header for each file in build/alone, with a compile_commands.json that includes it; ``.clangd`` names that folder, so
-clangd and ``clang-tidy -p build/alone`` open the file. Only files of functions can be read so (geokit/core/cpp.py).
+clangd and ``clang-tidy -p build/alone`` open the file.
 """
 
 from __future__ import annotations
