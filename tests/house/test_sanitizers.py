@@ -11,7 +11,7 @@ import pytest
 
 from tests.sanitize import alone, generated
 from tests.sanitize.__main__ import explained, sanitize
-from tests.sanitize.calls import NAMES
+from tests.sanitize.calls import NAMES, rows
 from tests.sanitize.compiler import Clang, Fault, find_clang
 from tests.sanitize.tidy import PROGRAM
 
@@ -39,6 +39,11 @@ SOME_MODULES = (
 # Kernels written in Python, which a fault can be planted in, and which end with it: others would walk on for ever.
 MEASURES = "geokit.mesh.topology.measures_kernels"
 WRITER = "geokit.volume.tree.device_writer_kernels"
+
+
+def test_all_calls_that_are_watched_are_there(tmp_path: Path) -> None:
+    """Also where there is no clang."""
+    assert {row.name for row in rows(tmp_path)} == NAMES
 
 
 def test_some_kernels(clang: Clang) -> None:
