@@ -4,19 +4,21 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.core import cpp
+
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
 
 __all__ = ["begin_of", "last_kernel", "part_of", "widen_kernel"]
 
 
-@wp.func
+@cpp.func_native("core/parts.inl")
 def part_of(offsets: wp.array(dtype=int), item: int) -> int:
     """The part that an item belongs to: ``offsets`` has the first item of each part, and their number, (parts + 1,).
 
     Without that last entry the answer for the last part would be the one before it: ``wp.lower_bound`` never answers
     the length of its array.
     """
-    return wp.lower_bound(offsets, item + 1) - 1
+    ...
 
 
 @wp.func

@@ -2,8 +2,8 @@
 
 clang-tidy reads the modules that warp generates, as few as hold every file: bodies of generic functions are checked
 where they are called. Findings are named by the .inl file and its line; those in warp's own text are dropped. A module
-that was clean is not read again until it changes. ``--changed`` reads those files only that
-differ from main, or in ten commits on main.
+that was clean is not read again until it changes. ``--changed`` reads those files only that differ from main, or in ten
+commits on main.
 """
 
 from __future__ import annotations

@@ -3,6 +3,7 @@
 //
 // A reference is one vector of eight: lower x y z, triangle, then the negatives of upper x y z and of the area. So the
 // bounds of many are the least of each lane.
+#include "core/parts.inl"
 #include "core/simd.inl"
 
 // A way to split a range: its axis, the first bin of the right part, and the costs, which count blocks of a leaf.
@@ -330,7 +331,7 @@ static constexpr auto write = [](const wp::array_t<float>& boxes, int node, cons
 static constexpr auto write_reference = [](int i, const wp::array_t<wp::vec3d>& vertices, const wp::array_t<int>& faces,
                                            const wp::array_t<int>& begin, const wp::array_t<wp::vec3d>& origins,
                                            const wp::array_t<double>& scales, wp::array_t<float>& out_references) {
-    const int tree = wp::lower_bound(begin, i + 1) - 1;
+    const int tree = part_of(begin, i);
     const wp::vec3d& origin = origins.data[tree];
     const double scale = scales.data[tree];
     const int* face = faces.data + (wp::int64)3 * i;

@@ -1,4 +1,5 @@
 // The leaves of the CPU's trees, eight triangles each: their corners and planes, and what rays read.
+#include "core/parts.inl"
 #include "core/simd.inl"
 
 // Writes the eight triangles of one block: their world corners, and their planes as leaf_planes_kernels describes them.
@@ -7,7 +8,7 @@ static constexpr auto place_block = [](int block, const wp::array_t<int>& begin,
                                        const wp::array_t<wp::vec3d>& vertices, const wp::array_t<int>& faces,
                                        const wp::array_t<wp::vec3d>& origins, const wp::array_t<double>& scales,
                                        wp::array_t<wp::vec3d>& out_corners, wp::array_t<float>& out_leaves) {
-    const int tree = wp::lower_bound(begin, WIDTH * block + 1) - 1;
+    const int tree = part_of(begin, WIDTH * block);
     const wp::vec3d& origin = origins.data[tree];
     const double scale = scales.data[tree];
     const int* triangle = slot_triangle.data + (wp::int64)WIDTH * block;
