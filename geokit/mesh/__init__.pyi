@@ -26,6 +26,8 @@ from ._repair import (
     drop_degenerate as drop_degenerate,
     OrientedMesh as OrientedMesh,
 )
+from ._fill_holes import fill_holes as fill_holes, FilledHoles as FilledHoles
+from ._repair_mesh import repair as repair, Repaired as Repaired
 
 # Pieces, affine maps, and simple bodies.
 from ._split import split as split, keep_largest as keep_largest

@@ -25,6 +25,7 @@ __all__ = [
     "connected_components",
     "kernels_pay",
     "mesh_topology",
+    "next_half_edge",
     "position_corners",
 ]
 
@@ -236,7 +237,7 @@ class Topology:
         for begin in range(0, len(self.faces), BLOCK):
             rows = slice(begin, begin + BLOCK)
             across = self.twin.reshape(-1, 3)[rows]
-            after = _next_half_edge(across)
+            after = next_half_edge(across)
             alike = None if opposed is None else ~opposed.reshape(-1, 3)[rows]
             leaving_start, leaving_end = 2 * after, 2 * across[:, (2, 0, 1)] + 1
             if alike is not None:
@@ -260,7 +261,7 @@ class Topology:
         wanted = np.zeros(self.position_count, bool)
         wanted[vertices] = True
         one, other = self.pairs
-        one_end, other_end = _next_half_edge(one), _next_half_edge(other)
+        one_end, other_end = next_half_edge(one), next_half_edge(other)
         # Nodes are corners, numbered as the half-edge that starts there. The two faces at an edge meet at both of its
         # ends.
         links = np.where(self.opposed, other_end, other), np.where(self.opposed, other, other_end)
@@ -284,7 +285,7 @@ class Topology:
     def pieces(self, collapsed: NDArray[np.int32]) -> NDArray[np.int32]:
         """The lowest position in each position's component, (P,); ``collapsed`` joins the corners of such faces."""
         edge = self.order[self.starts]
-        one, other = np.take(self.start, edge), np.take(self.start, _next_half_edge(edge))
+        one, other = np.take(self.start, edge), np.take(self.start, next_half_edge(edge))
         if len(collapsed):
             one = np.concatenate([one, collapsed[:, (0, 1)].ravel()])
             other = np.concatenate([other, collapsed[:, (1, 2)].ravel()])
@@ -313,7 +314,7 @@ def _walk(
     return np.concatenate(ended), position
 
 
-def _next_half_edge(half_edge: NDArray[Any]) -> NDArray[Any]:
+def next_half_edge(half_edge: NDArray[Any]) -> NDArray[Any]:
     """The next half-edge of the same face, which starts where each one ends."""
     corner = half_edge - half_edge // 3 * 3
     # Corners 0 and 1 step one forward, corner 2 steps two back.

@@ -1,0 +1,180 @@
+"""Holes of a mesh closed by triangles between the points of their rims."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.core.equal_rows import repeated_triples
+from geokit.core.frame import Frame
+from geokit.core.interop.types import MeshLike
+from geokit.core.interop.user_arrays import require_finite_scalar
+from geokit.core.memory.needs import needs
+from geokit.mesh._repair import orient
+from geokit.mesh.attributes.derived import derived, with_data
+from geokit.mesh.model.triangle_mesh import TriangleMesh
+from geokit.mesh.surfaces.objects import require_mesh
+from geokit.mesh.surfaces.surface import Surface
+from geokit.mesh.topology.connectivity import Topology, mesh_topology
+from geokit.mesh.topology.normals import face_normals
+from geokit.mesh.topology.rim_patches import patches
+from geokit.mesh.topology.rims import Rims, edges_within, find_rims
+
+__all__ = ["FilledHoles", "fill_holes"]
+
+# Points of a rim whose distances are all measured.
+MOST_PAIRED = 512
+# Where triangles clash with others, the least area without them is tried so many times.
+TRIALS = 8
+
+
+class FilledHoles(NamedTuple):
+    """A mesh whose holes are filled, and its holes.
+
+    Attributes:
+        mesh: The mesh: the faces of the input in their order, those of a patch behind a face at its rim.
+        hole: The hole that each face fills, (F,) int32; -1 for faces of the input.
+        width: Largest distance between two points of each rim [world], (H,).
+        center: Mean of the points of each rim [world], (H, 3).
+        filled: Whether each hole was filled, (H,) bool; others are as open as they were.
+    """
+
+    mesh: TriangleMesh
+    hole: NDArray[np.int32]
+    width: NDArray[np.float64]
+    center: NDArray[np.float64]
+    filled: NDArray[np.bool_]
+
+
+@needs()
+def fill_holes(mesh: MeshLike, *, max_width: float = math.inf) -> FilledHoles:
+    """Close holes by triangles between the points of their rims, of least area.
+
+    A rim is a loop of edges that one face has; vertices at equal positions count as one. Faces are wound as by
+    :func:`orient`. No vertex is added or moved, and no face is removed. No face of a patch intersects or repeats
+    another one (exact predicates), and none of its edges has more than two faces. A hole stays open where that cannot
+    be had, where it is wider than ``max_width``, and where its rim ends at an edge of more than two faces, or of two
+    that cannot be wound alike.
+
+    The border of a sheet is a rim too: ``max_width`` tells one from the other. A flat sheet keeps its border, as the
+    patch would lie in the sheet. :func:`wrap` closes what has no rims: cracks, slits, loose faces.
+
+    Patches have the attributes and the part of a face at their rim, and their corners those of the rim's corners. Up to
+    256 sides the area is the least, where short edges count a little; longer rims lose their shortest ears first.
+
+    Args:
+        mesh: The mesh; it may be empty.
+        max_width: Holes wider than this [world] stay open.
+    Returns:
+        FilledHoles with mesh, hole (F,), width [world] (H,), center (H, 3), filled (H,).
+    Raises:
+        InputError: mesh is no mesh, or max_width is no number of 0 or more.
+        DeviceMemoryError: There is not enough memory.
+    Source:
+        Barequet and Sharir, Filling gaps in the boundary of a polyhedron (1995).
+    Example:
+        >>> box = gk.mesh.box()
+        >>> found = gk.mesh.fill_holes(gk.mesh.TriangleMesh(box.vertices, box.faces[2:]))
+        >>> found.mesh.volume, found.hole.max(), found.width.round(3)
+        (1.0, 0, array([1.414]))
+    """
+    given, flipped, _ = orient(require_mesh(mesh, "mesh"))
+    max_width = math.inf if max_width == math.inf else require_finite_scalar(max_width, "max_width", low=-math.ulp(0.0))
+    _, _, collapsed, topology = mesh_topology(given)
+    rims = find_rims(topology)
+    face = np.flatnonzero(~collapsed)[rims.half_edges // 3]
+    corner = 3 * face + rims.half_edges % 3
+    frame = Frame.around(*given.bounds)
+    points = (given.vertices[given.faces.reshape(-1)[corner]] - frame.origin) / frame.scale
+    each = np.split(points, rims.begin[1:-1])[: len(rims.is_loop)]
+    width = np.array([_width(rim) for rim in each])
+    center = frame.scale * np.array([rim.mean(axis=0) for rim in each]).reshape(-1, 3) + frame.origin
+    wanted = rims.is_loop & (frame.scale * width <= max_width) & (width > 0.0)
+    points /= np.where(width > 0.0, width, 1.0).repeat(np.diff(rims.begin))[:, None]
+    rows, hole = _unclashing(given, topology, rims, points, wanted, width, corner)
+    full, of_face = _with_patches(given, corner[rows], face[rims.begin[hole]], hole)
+    filled = np.zeros(len(width), bool)
+    filled[hole] = True
+    # Bodies in bodies are told apart by the input's winding, once both are closed.
+    back = np.zeros(full.face_count, bool)
+    back[of_face < 0] = flipped
+    turned = np.where(back[:, None], full.faces[:, ::-1], full.faces)
+    wound = orient(derived(full, full.vertices, turned, reversed_faces=back)).mesh
+    return FilledHoles(wound, of_face, frame.scale * width, center, filled)
+
+
+def _unclashing(
+    mesh: TriangleMesh,
+    topology: Topology,
+    rims: Rims,
+    points: NDArray[np.float64],
+    wanted: NDArray[np.bool_],
+    width: NDArray[np.float64],
+    corner: NDArray[np.int64],
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Corners of patches' faces as rows of the rims (T, 3), and the hole of each (T,); faces that clash are refused."""
+    fixed = edges_within(topology, rims), face_normals(mesh)[corner // 3]
+    rows, hole, source = np.zeros((0, 3), np.int64), np.zeros(0, np.int64), None
+    refused = rows
+    for _ in range(TRIALS):
+        more, of_hole = patches(rims, points, wanted, refused, *fixed)
+        rows, hole = np.concatenate([rows, more]), np.concatenate([hole, of_hole])
+        if not len(more):
+            break
+        source = source or Surface(mesh, device="cpu")
+        clashes = _clashing(source, mesh.faces.reshape(-1)[corner[rows]], hole, width)
+        wanted = np.isin(np.arange(len(width)), hole[clashes])
+        refused = np.concatenate([refused, rows[clashes]])
+        rows, hole = rows[~wanted[hole]], hole[~wanted[hole]]
+    return rows, hole
+
+
+def _width(points: NDArray[np.float64]) -> float:
+    """The largest distance between two points."""
+    if len(points) > MOST_PAIRED:
+        cloud = TriangleMesh(points, np.arange(len(points))[:, None].repeat(3, axis=1))
+        return float(Surface(cloud, device="cpu").furthest_point(points).distance.max())
+    return float(np.linalg.norm(points[:, None] - points, axis=-1).max())
+
+
+def _with_patches(
+    mesh: TriangleMesh, corners: NDArray[np.int64], beside: NDArray[np.int64], hole: NDArray[np.int64]
+) -> tuple[TriangleMesh, NDArray[np.int32]]:
+    """The mesh with patches, and the hole of each face (F,).
+
+    Args:
+        mesh: The mesh.
+        corners: Corners of the patches' faces, as numbers of corners of the mesh (T, 3).
+        beside: The face of the mesh that each is put behind, and takes its attributes from (T,).
+        hole: The hole of each (T,).
+    """
+    source = np.concatenate([np.arange(mesh.face_count), beside])
+    order = np.argsort(source, kind="stable")
+    corner = np.concatenate([np.arange(3 * mesh.face_count).reshape(-1, 3), corners])[order]
+    of_face = np.concatenate([np.full(mesh.face_count, -1, np.int32), hole.astype(np.int32)])[order]
+    plain = with_data(mesh, corner_data={})
+    made = derived(plain, mesh.vertices, mesh.faces.reshape(-1)[corner], face_source=source[order])
+    at_corners = {name: v.reshape(-1, *v.shape[2:])[corner] for name, v in mesh.corner_data.items()}
+    return with_data(made, corner_data=at_corners), of_face
+
+
+def _clashing(
+    source: Surface, faces: NDArray[np.int32], hole: NDArray[np.int64], width: NDArray[np.float64]
+) -> NDArray[np.int64]:
+    """Patches' faces that intersect or repeat others, or give an edge a third face; of two that of the wider patch."""
+    made = Surface(TriangleMesh(source.mesh.vertices, faces), device="cpu")
+    touched = np.unique(made.intersecting_triangles(source)[:, 1])
+    near = TriangleMesh(source.mesh.vertices, np.concatenate([source.mesh.faces[touched], faces]))
+    corners, _, collapsed, topology = mesh_topology(near)
+    first = np.repeat(topology.starts, topology.uses)
+    third = np.flatnonzero((np.repeat(topology.uses, topology.uses) > 2) & (first != np.arange(len(first))))
+    crowded = np.stack([topology.order[first[third]], topology.order[third]], axis=1)
+    repeated = np.stack(repeated_triples(corners), axis=1)
+    crossing = Surface(near, device="cpu").self_intersections()
+    pairs = np.concatenate([crossing, repeated, np.flatnonzero(~collapsed)[crowded // 3]])
+    pairs = pairs[(pairs >= len(touched)).any(axis=1)]
+    size = np.concatenate([np.full(len(touched), -1.0), width[hole]])[pairs]
+    return np.unique(pairs[np.arange(len(pairs)), size.argmax(axis=1)]) - len(touched)

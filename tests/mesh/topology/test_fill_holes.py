@@ -1,0 +1,239 @@
+"""Holes filled: what stays, what is closed, and that the area is the least."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import geokit as gk
+from benchmarks.catalog import mesh_catalog as catalog
+from geokit.errors import InputError
+from geokit.mesh import MeshPart, TriangleMesh, audit, fill_holes, orient
+from tests.mesh.topology.test_repair import moebius
+
+SOLIDS = (catalog.box, catalog.icosphere, catalog.torus, catalog.l_profile, catalog.nested_boxes, catalog.tetrahedron)
+
+
+def without(mesh: TriangleMesh, rows) -> TriangleMesh:
+    return TriangleMesh(mesh.vertices, np.delete(mesh.faces, rows, axis=0), name=mesh.name)
+
+
+def tube(rim: np.ndarray, height: float = 1.0) -> TriangleMesh:
+    """A wall over a closed line (N, 3) and a point above it: its one hole is that line."""
+    i = np.arange(len(rim))
+    faces = np.stack([i, np.roll(i, -1), np.full(len(rim), len(rim))], axis=1)
+    top = rim.mean(axis=0) + np.array([0.0, 0.0, height])
+    return TriangleMesh(np.concatenate([rim, top[None]]), faces)
+
+
+def circle(count: int, wave: float = 0.0) -> np.ndarray:
+    angle = 2 * np.pi * np.arange(count) / count
+    return np.stack([np.cos(angle), np.sin(angle), wave * np.sin(3 * angle)], axis=1)
+
+
+def triangulations(first: int, last: int):
+    """All sets of triangles over the polygon first .. last, by the apex over the side from first to last."""
+    if last - first < 2:
+        yield ()
+    for apex in range(first + 1, last):
+        for one, other in itertools.product(triangulations(first, apex), triangulations(apex, last)):
+            yield (*one, *other, (first, apex, last))
+
+
+def require_sound(mesh: TriangleMesh, found) -> None:
+    """All that fill_holes promises of any mesh."""
+    before, after = audit(mesh, self_intersections=True), audit(found.mesh, self_intersections=True)
+    assert np.array_equal(found.mesh.vertices, mesh.vertices)
+    assert np.array_equal(np.sort(found.mesh.faces[found.hole < 0], axis=1), np.sort(mesh.faces, axis=1))
+    assert after.self_intersection_count == before.self_intersection_count
+    assert after.non_manifold_edge_count == before.non_manifold_edge_count
+    assert after.duplicate_count == before.duplicate_count
+    assert set(found.hole[found.hole >= 0]) == set(np.flatnonzero(found.filled))
+    # A patch over a loop of n sides has n - 2 faces.
+    sides = np.bincount(found.hole[found.hole >= 0], minlength=len(found.filled))[found.filled] + 2
+    assert after.boundary_edge_count == before.boundary_edge_count - sides.sum()
+    again = orient(found.mesh)
+    assert not again.flipped.any()
+
+
+@pytest.mark.parametrize("make", SOLIDS, ids=lambda make: make.__name__)
+def test_each_missing_face_is_put_back(make):
+    whole = make()
+    for row in range(0, whole.face_count, max(1, whole.face_count // 20)):
+        mesh = without(whole, row)
+        found = fill_holes(mesh)
+        require_sound(mesh, found)
+        assert found.filled.tolist() == [True]
+        corners = whole.vertices[whole.faces[row]]
+        assert found.width[0] == pytest.approx(np.linalg.norm(corners - corners[[1, 2, 0]], axis=1).max(), rel=1e-12)
+        assert np.allclose(found.center[0], corners.mean(axis=0), rtol=1e-12, atol=1e-12)
+        assert found.mesh.volume == pytest.approx(whole.volume, rel=1e-12)
+
+
+@settings(max_examples=25)
+@given(st.sampled_from(SOLIDS), st.floats(0.02, 0.6), st.integers(0, 2**31))
+def test_what_a_mesh_was_it_still_is(make, share, seed):
+    whole = make()
+    mesh = without(whole, np.random.default_rng(seed).random(whole.face_count) < share)
+    require_sound(mesh, fill_holes(mesh))
+
+
+@pytest.mark.parametrize("damage", [catalog.with_flips, catalog.with_duplicates, catalog.with_fins, catalog.soup])
+def test_damaged_meshes_get_no_worse(damage):
+    mesh = damage(catalog.with_holes(catalog.icosphere(3), 0.05))
+    found = fill_holes(mesh)
+    require_sound(mesh, found)
+    assert found.filled.any()
+
+
+@pytest.mark.parametrize("mesh", [make() for make in (*catalog.CLOSED, *catalog.DEFECTIVE)], ids=lambda mesh: mesh.name)
+def test_any_mesh_is_taken(mesh):
+    require_sound(mesh, fill_holes(mesh))
+
+
+@given(st.integers(4, 8), st.integers(0, 2**31))
+def test_the_area_is_the_least(count, seed):
+    # A line around an axis is star-shaped from it, so that no patch crosses the far wall.
+    rng = np.random.default_rng(seed)
+    rim = circle(count, 0.0) * rng.uniform(0.7, 1.0, (count, 1)) + [0, 0, 1] * rng.uniform(-0.2, 0.2, (count, 1))
+    found = fill_holes(tube(rim, 20.0))
+    patch = found.mesh.vertices[found.mesh.faces[found.hole == 0]]
+    size = found.width[0]
+
+    def cost(triangles: np.ndarray) -> float:
+        a, b, c = triangles.swapaxes(0, 1)
+        area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
+        edges = np.concatenate([b - a, c - b, a - c])
+        # Inner edges count twice in the sum and once in the cost; the sides are the same in all.
+        return float(area / size**2 + 1e-3 * (edges**2).sum() / size**2 / 2)
+
+    best = min(cost(rim[np.array(each)]) for each in triangulations(0, count - 1))
+    assert cost(patch) == pytest.approx(best, rel=1e-9)
+
+
+@pytest.mark.parametrize("count", [255, 256, 257, 2000])
+@pytest.mark.parametrize("wave", [0.0, 0.3])
+def test_long_rims_are_filled(count, wave):
+    mesh = tube(circle(count, wave), 3.0)
+    found = fill_holes(mesh)
+    require_sound(mesh, found)
+    assert found.filled.all()
+    assert audit(found.mesh).watertight
+    if not wave:
+        flat = found.mesh.vertices[found.mesh.faces[found.hole == 0]]
+        area = 0.5 * np.linalg.norm(np.cross(flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]), axis=1).sum()
+        assert area == pytest.approx(0.5 * count * np.sin(2 * np.pi / count), rel=1e-12)
+        assert found.width[0] == pytest.approx(2.0, abs=1e-4)
+
+
+def test_wide_holes_stay():
+    mesh = without(catalog.icosphere(3), [0, 5, 6, 7, 20, 21, 22, 23])
+    every = fill_holes(mesh)
+    narrow = fill_holes(mesh, max_width=np.sort(every.width)[0])
+    assert every.filled.all()
+    assert len(every.width) > 1
+    assert np.array_equal(narrow.width, every.width)
+    assert np.array_equal(narrow.filled, every.width <= every.width.min())
+    require_sound(mesh, narrow)
+
+
+def test_the_border_of_a_flat_sheet_stays():
+    mesh = catalog.sheet()
+    found = fill_holes(mesh)
+    assert found.filled.tolist() == [False]
+    assert np.array_equal(found.mesh.faces, mesh.faces)
+
+
+def test_a_border_with_one_side_is_filled_where_faces_can_be_wound():
+    found = fill_holes(moebius())
+    require_sound(moebius(), found)
+    assert not found.filled.all()
+
+
+def test_holes_that_touch_at_a_vertex_are_two():
+    whole = catalog.icosphere(2)
+    shared = 20
+    around = np.flatnonzero((whole.faces == shared).any(axis=1))
+    first = around[0]
+    apart = next(row for row in around if len(set(whole.faces[row]) & set(whole.faces[first])) == 1)
+    mesh = without(whole, [first, apart])
+    found = fill_holes(mesh)
+    require_sound(mesh, found)
+    assert found.filled.tolist() == [True, True]
+    assert audit(found.mesh).watertight
+
+
+def test_a_hole_within_an_edge_that_is_taken():
+    # Both diagonals of the square hole are edges of the mesh already: no triangles are left for it.
+    corners = np.array([[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], float)
+    roof = [[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]]
+    for braces in ([[0, 2, 5]], [[0, 2, 5], [1, 3, 5]]):
+        mesh = TriangleMesh(corners, [*roof, *braces])
+        found = fill_holes(mesh)
+        require_sound(mesh, found)
+        assert not found.filled[np.argmax(found.width)]
+
+
+def test_attributes_and_parts_go_on():
+    whole = catalog.join(catalog.box(), catalog.moved(catalog.box(), (3, 0, 0)))
+    kept = np.delete(np.arange(24), [1, 14])
+    faces = whole.faces[kept]
+    mesh = TriangleMesh(
+        whole.vertices,
+        faces,
+        name="two",
+        parts=[MeshPart("a", 0, 11), MeshPart("b", 11, 11)],
+        vertex_data={"v": np.arange(16)},
+        face_data={"f": kept},
+        corner_data={"c": whole.vertices[faces]},
+        meters_per_unit=0.001,
+        up_axis="z",
+    )
+    found = fill_holes(mesh)
+    full = found.mesh
+    assert [(part.name, part.face_count) for part in full.parts] == [("a", 12), ("b", 12)]
+    for part, hole in zip(full.parts, found.hole[found.hole >= 0], strict=True):
+        rows = slice(part.first_face, part.first_face + part.face_count)
+        assert (found.hole[rows] >= 0).sum() == 1
+        assert hole in found.hole[rows]
+    assert np.array_equal(full.corner_data["c"], full.vertices[full.faces])
+    assert np.array_equal(full.face_data["f"][found.hole < 0], kept)
+    for row in np.flatnonzero(found.hole >= 0):
+        beside = np.flatnonzero((full.face_data["f"] == full.face_data["f"][row]) & (found.hole < 0))
+        assert len(set(full.faces[row]) & set(full.faces[beside[0]])) == 2
+    assert (full.name, full.meters_per_unit, full.up_axis) == ("two", 0.001, "z")
+    assert np.array_equal(full.vertex_data["v"], np.arange(16))
+
+
+@pytest.mark.parametrize("scale", [1e-200, 1e-30, 1e30, 1e200])
+def test_sizes_do_not_matter(scale):
+    mesh = without(catalog.icosphere(2), [0, 1, 2, 50])
+    found, large = fill_holes(mesh), fill_holes(catalog.scaled(mesh, scale))
+    assert np.array_equal(found.mesh.faces, large.mesh.faces)
+    assert np.allclose(large.width / scale, found.width, rtol=1e-12)
+
+
+def test_meshes_of_other_sizes_than_expected():
+    for vertices, faces in ([], []), ([[0, 0, 0]], []), ([[0, 0, 0]], [[0, 0, 0]]):
+        mesh = TriangleMesh(np.reshape(vertices, (-1, 3)), np.reshape(faces, (-1, 3)).astype(int))
+        found = fill_holes(mesh)
+        assert (found.mesh.face_count, len(found.width), found.center.shape) == (mesh.face_count, 0, (0, 3))
+
+
+def test_bad_input_is_named():
+    for bad, message in ((np.nan, "max_width"), (-1.0, "0 or more"), ("wide", "max_width")):
+        with pytest.raises(InputError, match=message):
+            fill_holes(catalog.box(), max_width=bad)
+    with pytest.raises(InputError, match="mesh"):
+        fill_holes(3)
+
+
+def test_a_scan_with_two_holes_becomes_closed():
+    dome = gk.mesh.load(gk.sample_path("shell.stl"))
+    found = fill_holes(dome)
+    require_sound(dome, found)
+    assert audit(found.mesh).watertight
