@@ -14,12 +14,11 @@ import pytest
 from geokit import mesh
 from geokit.accuracy.reference import mesh as reference
 from geokit.accuracy.stability import shapes
-from geokit.accuracy.stability.follow_sweeps import inside, promised
-from geokit.accuracy.stability.mesh import mesh_sweeps
+from geokit.accuracy.stability.follow_sweeps import inside, promised, sweeps_of
 from geokit.accuracy.stability.mesh_questions import around_and_near, judged, powers, turned
 from geokit.mesh.surfaces.surface import Surface
 
-SWEEPS = mesh_sweeps("cpu")
+SWEEPS = sweeps_of("mesh", "cpu")
 # Factor by which values of other seeds may exceed those of the tested ones.
 ROOM = 4.0
 # The promise of these is set by the caller or by the question: no margin is needed.
