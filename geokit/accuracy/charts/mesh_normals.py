@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geokit.accuracy.charts.first_hit import DIVISIONS, QUICK_DIVISIONS
-from geokit.accuracy.charts.mesh_setup import MOST, SEED
-from geokit.accuracy.charts.volume_setup import area_samples
+from geokit.accuracy.charts.mesh_setup import MOST, SEED, area_samples
 from geokit.accuracy.reference import mesh as reference
 from geokit.accuracy.trials.model import Chart, Judgement, Trial
-from geokit.accuracy.trials.running import angles, failed, judged, on_host, send, setting_of, without_warnings
+from geokit.accuracy.trials.running import angles, failed, judged, on_host, send, setting_of
 from geokit.errors import GeokitError
 
 if TYPE_CHECKING:
@@ -35,8 +34,6 @@ def normals_chart(setup: MeshSetup) -> Chart:
 
 
 def _trials(setup: MeshSetup) -> Iterator[Trial]:
-    from geokit.volume.distance_fields.from_mesh import from_mesh
-
     mesh = setup.oriented
     samples, face = area_samples(mesh, setup.count, np.random.default_rng(SEED + 6))
     points = send(samples, setup.device)
@@ -49,7 +46,7 @@ def _trials(setup: MeshSetup) -> Iterator[Trial]:
     for parts in QUICK_DIVISIONS if setup.quick else DIVISIONS:
         voxel_size = setup.shared(1.0 / parts)
         try:
-            volume = without_warnings(partial(from_mesh, setup.surface, voxel_size))
+            volume = setup.level_set(voxel_size)
         except GeokitError as error:
             yield failed("volume.gradient", {"voxel_size": voxel_size}, error)
             continue
