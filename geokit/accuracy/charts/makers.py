@@ -38,7 +38,7 @@ def mesh_charts(subject: Subject, device: Any, quick: bool) -> list[Chart]:
     """
     from geokit.accuracy.charts.closest_point import closest_point_charts
     from geokit.accuracy.charts.first_hit import first_hit_charts
-    from geokit.accuracy.charts.mesh_normals import normals_chart
+    from geokit.accuracy.charts.gradients import normals_chart
     from geokit.accuracy.charts.mesh_setup import MeshSetup
     from geokit.accuracy.charts.sign import sign_charts
 
