@@ -22,13 +22,14 @@ from geokit.accuracy.reference.volume import (
     interpolant_gradient,
     nearest_to_level,
 )
-from geokit.accuracy.stability.shapes import box, box_distance, icosphere, moved, sphere_distance, without_cap
+from geokit.accuracy.stability.shapes import box, icosphere, moved, sphere_distance, without_cap
 from geokit.accuracy.trials.model import Subject
 from geokit.accuracy.trials.running import angles
 from geokit.errors import InputError, UnsupportedGridError
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.volume._dense import from_dense
 from geokit.volume.distance_fields.from_mesh import from_mesh
+from tests.support.reference import box_distance
 
 LOWER, UPPER = (-1.0, -0.7, -0.4), (0.8, 0.6, 0.5)
 SMALL = Effort(queries=500, rays=200, checked=120, checked_rays=24, divisions=(12, 30))
