@@ -126,18 +126,11 @@ def _planned(
 
 def _makers(subject: "Subject") -> list[ChartMaker]:
     """The functions that make the charts of a subject of this kind."""
+    from geokit.accuracy.charts import makers
+
     if subject.mesh is not None:
-        from geokit.accuracy.charts.mesh import mesh_charts
-        from geokit.accuracy.charts.volume import mesh_volume_charts
-
-        return [mesh_charts, mesh_volume_charts]
-    if subject.volume is not None:
-        from geokit.accuracy.charts.volume import volume_charts
-
-        return [volume_charts]
-    from geokit.accuracy.charts.points import points_charts
-
-    return [points_charts]
+        return [makers.mesh_charts, makers.mesh_volume_charts]
+    return [makers.points_charts if subject.volume is None else makers.volume_charts]
 
 
 def _wanted(charts: Iterable[str] | None, planned: "list[tuple[Subject, Any, Chart]]") -> set[str]:

@@ -21,7 +21,6 @@ from geokit.points._io import PointCloud
 from geokit.render._backend import pyvista
 from geokit.render._camera import UP, View, camera_of, up_of, up_of_points, view_of
 from geokit.render._grid import dense_field
-from geokit.render._passes import smooth_edges
 from geokit.render._shadow import add_shadow
 from geokit.render.looks.checks import (
     SEQUENTIAL,
@@ -41,6 +40,9 @@ if TYPE_CHECKING:
     from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["figure"]
+
+# Layers that can be seen through each other; those behind are left out.
+MOST_LAYERS = 12
 
 POINT_COLOR = "#c0392b"
 # Samples along the longest side: enough for 800 pixels, at most 10 MB.
@@ -458,3 +460,25 @@ def _aim(plotter: Any, view: View, bounds: NDArray[np.float64]) -> None:
     camera.view_angle = np.degrees(2.0 * np.arctan(placed.tangent))
     camera.SetWindowCenter(1.0 - share, 0.0)
     plotter.reset_camera_clipping_range()
+
+
+def smooth_edges(plotter: Any) -> None:
+    """Draw with super-sampling, and translucent surfaces by depth peeling, which does not depend on their order.
+
+    VTK's own switch for depth peeling has no effect together with super-sampling.
+    """
+    translucent = any(actor.HasTranslucentPolygonalGeometry() for actor in plotter.renderer.actors.values())
+    if not translucent:
+        plotter.enable_anti_aliasing("ssaa")
+        return
+    from vtkmodules import vtkRenderingOpenGL2 as vtk
+
+    plotter.render_window.SetAlphaBitPlanes(1)
+    plotter.render_window.SetMultiSamples(0)
+    peeling, steps, smooth = vtk.vtkDepthPeelingPass(), vtk.vtkRenderStepsPass(), vtk.vtkSSAAPass()
+    peeling.SetTranslucentPass(vtk.vtkTranslucentPass())
+    peeling.SetMaximumNumberOfPeels(MOST_LAYERS)
+    peeling.SetOcclusionRatio(0.0)
+    steps.SetTranslucentPass(peeling)
+    smooth.SetDelegatePass(steps)
+    plotter.renderer.SetPass(smooth)

@@ -191,7 +191,7 @@ def test_an_interrupt_ends_the_run(charts):
 @pytest.fixture
 def mesh_chart(monkeypatch, charts):
     """One of geokit's own charts, each trial whose method is named followed by what is made of it."""
-    from geokit.accuracy.charts.mesh import mesh_charts
+    from geokit.accuracy.charts.makers import mesh_charts
 
     monkeypatch.setattr(mesh_setup, "COUNTS", {"cpu": (COUNT, COUNT), "cuda": (COUNT, COUNT)})
 

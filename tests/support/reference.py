@@ -32,6 +32,7 @@ __all__ = [
     "all_ray_hits",
     "axis_weights",
     "borders_along",
+    "box_distance",
     "closest_on_segments",
     "closest_point",
     "common_points",
@@ -248,6 +249,12 @@ def triangle_meets_box(triangle: np.ndarray, lower: np.ndarray, upper: np.ndarra
         axis = tuple(Fraction(int(i == k)) for i in range(3))
         polygon = _clip(_clip(polygon, axis, low), tuple(-x for x in axis), high)
     return bool(polygon)
+
+
+def box_distance(points: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Signed distance (N,) to a box, negative inside [world]."""
+    beyond = np.maximum(np.asarray(lower) - points, points - np.asarray(upper))
+    return np.linalg.norm(np.maximum(beyond, 0.0), axis=1) + np.minimum(beyond.max(axis=1), 0.0)
 
 
 def union_of_balls(points: np.ndarray, centers: np.ndarray, radii: np.ndarray) -> np.ndarray:

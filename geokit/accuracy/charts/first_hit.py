@@ -14,7 +14,7 @@ from geokit.accuracy.charts.mesh_setup import SEED
 from geokit.accuracy.reference import mesh as reference
 from geokit.accuracy.trials.held_bytes import held_bytes
 from geokit.accuracy.trials.model import Chart, Judgement, Trial
-from geokit.accuracy.trials.running import failed, judged, on_host, send, setting_of, unit, without_warnings
+from geokit.accuracy.trials.running import failed, judged, on_host, send, setting_of, unit
 from geokit.errors import GeokitError
 
 if TYPE_CHECKING:
@@ -100,13 +100,11 @@ def _of_mesh(setup: MeshSetup, rays: Rays, judge: Callable[[Any], Judgement]) ->
 
 
 def _of_volumes(setup: MeshSetup, rays: Rays, judge: Callable[[Any], Judgement]) -> Iterator[Trial]:
-    from geokit.volume.distance_fields.from_mesh import from_mesh
-
     origins, directions = send(rays.origins, setup.device), send(rays.directions, setup.device)
     for parts in QUICK_DIVISIONS if setup.quick else DIVISIONS:
         chosen = {"voxel_size": setup.shared(1.0 / parts)}
         try:
-            volume = without_warnings(partial(from_mesh, setup.surface, chosen["voxel_size"]))
+            volume = setup.level_set(chosen["voxel_size"])
         except GeokitError as error:
             yield failed("volume.raycast", chosen, error)
             continue

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geokit.accuracy.charts.volume_setup import HALF_WIDTH, SEED, area_samples
+from geokit.accuracy.charts.mesh_setup import HALF_WIDTH, area_samples
+from geokit.accuracy.charts.volume_setup import SEED
 from geokit.accuracy.reference.volume import Voxels
 from geokit.accuracy.trials.model import Chart, Judgement, Trial
 from geokit.accuracy.trials.running import failed, judged, setting_of

@@ -8,14 +8,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.accuracy.charts.volume_setup import area_samples
 from geokit.accuracy.reference import mesh as reference
+from geokit.accuracy.trials.running import without_warnings
 
 if TYPE_CHECKING:
     from geokit.mesh.model.triangle_mesh import TriangleMesh
     from geokit.mesh.surfaces.surface import Surface
+    from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["MeshSetup", "Queries"]
+__all__ = ["HALF_WIDTH", "MeshSetup", "Queries", "area_samples"]
 
 Floats = NDArray[np.float64]
 
@@ -35,6 +36,8 @@ LEAST, MOST = 32, 4000
 # Extent of uniform queries beyond the bounding box of the mesh, and of near queries from its surface [diagonals].
 MARGIN = 0.1
 NEAR = 0.01
+# Half width of level sets [voxels] where a chart does not vary it: the default of from_mesh.
+HALF_WIDTH = 3.0
 
 
 class Queries(NamedTuple):
@@ -88,6 +91,13 @@ class MeshSetup:
 
         return orient(self.mesh).mesh
 
+    def beside(self, count: int, share: float, length: float, seed: int) -> Floats:
+        """Points [world] up to a share of a length from the surface, along the normals."""
+        rng = np.random.default_rng(seed)
+        points, face = area_samples(self.mesh, count, rng)
+        offset = rng.uniform(-share, share, (count, 1)) * length
+        return points + offset * reference.face_normals(self.mesh.vertices, self.mesh.faces)[face]
+
     def shared(self, share: float) -> float:
         """A length as a share of the diagonal, rounded to three digits so that a reader can reproduce a setting."""
         return float(f"{share * self.size:.3g}")
@@ -111,14 +121,27 @@ class MeshSetup:
 
     def near(self, weight: int = 1) -> Queries:
         """Points up to a hundredth of the diagonal from the surface, along the normals."""
-        rng = np.random.default_rng(SEED + 2)
-        points, face = area_samples(self.mesh, self.count, rng)
-        offset = rng.uniform(-NEAR, NEAR, (self.count, 1)) * self.size
-        return Queries(
-            points + offset * reference.face_normals(self.mesh.vertices, self.mesh.faces)[face], self.rows(weight)
-        )
+        return Queries(self.beside(self.count, NEAR, self.size, SEED + 2), self.rows(weight))
 
     def mixed(self, weight: int = 1) -> Queries:
         """Uniform and near points, alternating."""
         uniform, near = self.uniform(weight), self.near(weight)
         return Queries(np.where(np.arange(self.count)[:, None] % 2 == 0, uniform.points, near.points), uniform.rows)
+
+    def level_set(self, voxel_size: float, *, half_width: float = HALF_WIDTH, method: str = "geokit") -> SparseVolume:
+        """geokit's level set of the mesh; warnings about thin components are dropped, as the charts show them."""
+        from geokit.volume.distance_fields.from_mesh import from_mesh
+
+        options: dict[str, Any] = {"half_width": half_width, "method": method, "device": self.device}
+        return without_warnings(lambda: from_mesh(self.surface, voxel_size, **options))
+
+
+def area_samples(mesh: TriangleMesh, count: int, rng: np.random.Generator) -> tuple[Floats, NDArray[np.int64]]:
+    """Points (N, 3) uniform by area, and their faces (N,)."""
+    a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    ends = np.cumsum(area)
+    face = np.minimum(np.searchsorted(ends, rng.random(count) * ends[-1], side="right"), len(ends) - 1)
+    u, v = rng.random((2, count, 1))
+    u, v = np.where(u + v > 1.0, 1.0 - u, u), np.where(u + v > 1.0, 1.0 - v, v)
+    return a[face] + u * (b - a)[face] + v * (c - a)[face], face

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-from geokit.accuracy.charts.volume_setup import HALF_WIDTH, QUICK_CODECS, coded, known_codecs
+from geokit.accuracy.charts.mesh_setup import HALF_WIDTH
+from geokit.accuracy.charts.volume_setup import QUICK_CODECS, coded, known_codecs
 from geokit.accuracy.trials.model import Chart, Judgement, Trial
 from geokit.accuracy.trials.running import failed, judged, on_host, send, setting_of
 

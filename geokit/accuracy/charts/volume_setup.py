@@ -10,22 +10,19 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.accuracy.charts.mesh_setup import MeshSetup, area_samples
 from geokit.accuracy.reference import mesh as reference
-from geokit.accuracy.trials.running import without_warnings
 
 if TYPE_CHECKING:
     from geokit.mesh.model.triangle_mesh import TriangleMesh
-    from geokit.mesh.surfaces.surface import Surface
     from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = [
     "CODECS",
-    "HALF_WIDTH",
     "QUICK_CODECS",
     "Effort",
     "Known",
     "NearSurface",
-    "area_samples",
     "coded",
     "known_codecs",
     "surface_samples",
@@ -40,8 +37,6 @@ QUICK_CODECS = ("float", "fp8")
 # Tolerance for "fpn", as a share of the range of values: between the steps of fp8 (1/255 of a leaf's range) and fp16,
 # so that its leaves use different numbers of bits.
 FPN_SHARE = 1e-3
-# Half width of level sets [voxels] where a chart does not vary it: the default of from_mesh.
-HALF_WIDTH = 3.0
 # If the winding number is this close to one half, in the opening of an open mesh, no side is right; geokit's own
 # winding number is accurate to 0.02.
 UNDECIDED = 0.05
@@ -99,7 +94,7 @@ class Known(NamedTuple):
         return Known(*(np.asarray(column)[rows] for column in self))
 
 
-class NearSurface:
+class NearSurface(MeshSetup):
     """Points near a mesh and reference values there; computed on first access and shared by the charts of a mesh.
 
     Args:
@@ -109,33 +104,16 @@ class NearSurface:
     """
 
     def __init__(self, mesh: TriangleMesh, device: Any, quick: bool) -> None:
-        self.mesh, self.device, self.quick = mesh, device, quick
+        super().__init__(mesh, device, quick)
         self.effort = Effort.of(device, quick, len(mesh.faces))
         # Rounded to three digits, so that a reader can reproduce a setting.
         self.voxel_sizes = tuple(float(f"{mesh.diagonal / parts:.3g}") for parts in self.effort.divisions)
 
     @cached_property
-    def surface(self) -> Surface:
-        """The mesh on the device."""
-        from geokit.mesh.surfaces.surface import Surface
-
-        return Surface(self.mesh, device=self.device)
-
-    @cached_property
     def points(self) -> Floats:
         """Queries [world] up to half the smallest voxel from the surface, within the band of every grid of the
         charts."""
-        rng = np.random.default_rng(SEED)
-        points, face = area_samples(self.mesh, self.effort.queries, rng)
-        offset = rng.uniform(-0.5, 0.5, len(points)) * min(self.voxel_sizes)
-        return points + offset[:, None] * reference.face_normals(self.mesh.vertices, self.mesh.faces)[face]
-
-    @cached_property
-    def oriented(self) -> TriangleMesh:
-        """The mesh with consistently outward faces, without which signs are undefined."""
-        from geokit.mesh._repair import orient
-
-        return orient(self.mesh).mesh
+        return self.beside(self.effort.queries, 0.5, min(self.voxel_sizes), SEED)
 
     @cached_property
     def known(self) -> Known:
@@ -152,24 +130,6 @@ class NearSurface:
         closest = reference.closest_point(mesh.vertices, mesh.faces, points[told])
         distance = np.where(winding[told] > 0.5, -closest.distance, closest.distance)
         return Known(rows[told], points[told], distance, closest.points, closest.triangle_id)
-
-    def level_set(self, voxel_size: float, *, half_width: float = HALF_WIDTH, method: str = "geokit") -> SparseVolume:
-        """geokit's level set of the mesh; warnings about thin components are dropped, as the charts show them."""
-        from geokit.volume.distance_fields.from_mesh import from_mesh
-
-        options: dict[str, Any] = {"half_width": half_width, "method": method, "device": self.device}
-        return without_warnings(lambda: from_mesh(self.surface, voxel_size, **options))
-
-
-def area_samples(mesh: TriangleMesh, count: int, rng: np.random.Generator) -> tuple[Floats, NDArray[np.int64]]:
-    """Points (N, 3) uniform by area, and their faces (N,)."""
-    a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    ends = np.cumsum(area)
-    face = np.minimum(np.searchsorted(ends, rng.random(count) * ends[-1], side="right"), len(ends) - 1)
-    u, v = rng.random((2, count, 1))
-    u, v = np.where(u + v > 1.0, 1.0 - u, u), np.where(u + v > 1.0, 1.0 - v, v)
-    return a[face] + u * (b - a)[face] + v * (c - a)[face], face
 
 
 def surface_samples(mesh: TriangleMesh, count: int, seed: int) -> Floats:

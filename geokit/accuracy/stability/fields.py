@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import wraps
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.accuracy.trials.model import Judgement
+
 if TYPE_CHECKING:
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["ball", "field", "level_set", "unit_vectors", "voxel_centers"]
+__all__ = ["ball", "field", "joined", "level_set", "unit_vectors", "voxel_centers"]
 
 Floats = NDArray[np.float64]
 Field = Callable[[Floats], Floats]
@@ -22,11 +25,21 @@ MIDDLE = np.array([0.13, 0.27, 0.41])
 MARGIN = 6
 
 
-def unit_vectors(count: int, seed: int) -> Floats:
+def unit_vectors(count: int, seed: int | np.random.Generator) -> Floats:
     """Random unit vectors, uniform on the sphere, shape (count, 3)."""
     vectors = np.random.default_rng(seed).normal(size=(count, 3))
     unit: Floats = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
     return unit
+
+
+def joined(ask: Callable[..., Iterator[Judgement]]) -> Callable[..., Judgement]:
+    """Decorator of a function that asks about several things, one after the other: what it yields, as one judgement."""
+
+    @wraps(ask)
+    def run(*given: Any, **options: Any) -> Judgement:
+        return Judgement(*(np.concatenate(parts) for parts in zip(*ask(*given, **options), strict=True)))
+
+    return run
 
 
 def ball(radius: float, center: Floats = MIDDLE) -> Field:

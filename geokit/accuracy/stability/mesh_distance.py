@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.accuracy.reference import mesh as reference
+from geokit.accuracy.stability.fields import unit_vectors
 from geokit.accuracy.stability.mesh_questions import (
     OBLIQUE,
     around_and_near,
@@ -19,7 +20,6 @@ from geokit.accuracy.stability.mesh_questions import (
     surface_of,
     turned,
     unit_sized,
-    unit_vectors,
 )
 from geokit.accuracy.stability.shapes import moved, rotated, scaled, sliver_fan, thin_plate, torus
 from geokit.accuracy.trials.model import Judgement, Sweeps
@@ -28,6 +28,7 @@ from geokit.mesh.model.triangle_mesh import TriangleMesh
 __all__ = ["SWEEPS"]
 
 SWEEPS = Sweeps()
+of_closest = partial(SWEEPS.add, "mesh.Surface.closest_point", "sizes of the mesh")
 
 QUERIES = 200
 # Queries of sweeps from afar: brute force is slowest there, because no candidate is excluded early.
@@ -72,11 +73,9 @@ def _known(seed: int) -> _Known:
     return _Known(mesh, queries[clear], closest.points[clear], closest.distance[clear], inside[clear])
 
 
-@SWEEPS.add(
+@of_closest(
     "closest_point_origin",
-    "mesh.Surface.closest_point",
     "distance from the origin [sizes of the mesh]",
-    "sizes of the mesh",
     powers(0, 13),
     last=1e8,
     error=1e-6,
@@ -105,11 +104,9 @@ def _closest_sized(scale: float, device: Any, seed: int = 0) -> Judgement:
     return judged(found.distance / scale - known.distance, found.triangle_id < 0, known.queries)
 
 
-@SWEEPS.add(
+@of_closest(
     "closest_point_slivers",
-    "mesh.Surface.closest_point",
     "longest edge of the triangles over their height",
-    "sizes of the mesh",
     powers(1, 13),
     last=1e13,
     error=1e-12,
@@ -143,10 +140,10 @@ def _flat_distance(points: NDArray[np.float64], corners: NDArray[np.float64]) ->
 
 
 @SWEEPS.add(
-    "signed_distance_origin",
     "mesh.Surface.signed_distance",
-    "distance from the origin [sizes of the mesh]",
     "sizes of the mesh",
+    "signed_distance_origin",
+    "distance from the origin [sizes of the mesh]",
     powers(0, 14),
     last=1e9,
     error=1e-6,
@@ -174,10 +171,10 @@ def _signed_sized(scale: float, device: Any, seed: int = 0) -> Judgement:
 
 
 @SWEEPS.add(
-    "signed_distance_afar",
     "mesh.Surface.signed_distance",
-    "distance of the queries [sizes of the mesh]",
     "relative",
+    "signed_distance_afar",
+    "distance of the queries [sizes of the mesh]",
     (*powers(0, 8, 4), 1e16, *powers(40, 120, 40), 1e150, 1e160),
     last=1e150,
     error=4e-15,
@@ -196,10 +193,10 @@ def _signed_from_afar(distance: float, device: Any, seed: int = 0) -> Judgement:
 
 
 @SWEEPS.add(
-    "signed_distance_thin_walls",
     "mesh.Surface.signed_distance",
-    "thickness of a plate [its length]",
     "lengths of the plate",
+    "signed_distance_thin_walls",
+    "thickness of a plate [its length]",
     powers(-1, -17, -1),
     last=lambda device: 1e-11 if on_gpu(device) else 1e-14,
     error=4e-15,

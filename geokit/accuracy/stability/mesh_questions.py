@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.accuracy.stability.shapes import rotation, scaled
-from geokit.accuracy.trials.model import Judgement, Sweeps
+from geokit.accuracy.trials.model import Judgement, Sweeps, cases_of
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 if TYPE_CHECKING:
@@ -25,7 +25,6 @@ __all__ = [
     "surface_of",
     "turned",
     "unit_sized",
-    "unit_vectors",
 ]
 
 # Direction in which meshes are moved: along no axis and no diagonal, of length 1 up to rounding.
@@ -41,30 +40,22 @@ def size_sweeps(
     sweeps: Sweeps, name: str, method: str, large: tuple[float, ...], small: tuple[float, ...], subject: str
 ) -> Callable[[Callable[..., Judgement]], Callable[..., Judgement]]:
     """Decorator that adds sweeps towards large and small meshes; what ``subject`` names keeps its digits up to 1e70."""
-
-    def note(ask: Callable[..., Judgement]) -> Callable[..., Judgement]:
-        ends = (("large", large, 1e70, "up to 1e70"), ("small", small, 1e-70, "down to 1e-70"))
-        for end, values, last, reach in ends:
-            sweeps.add(
-                f"{name}_{end}",
-                method,
-                "size of the mesh [world]",
-                "sizes of the mesh",
-                values,
-                last=last,
-                error=1e-14,
-                statement=f"{subject} an error of at most 1e-14 of the mesh's size for sizes {reach}.",
-            )(ask)
-        return ask
-
-    return note
+    ends = (("large", large, 1e70, "up to 1e70"), ("small", small, 1e-70, "down to 1e-70"))
+    return sweeps.add(
+        method,
+        "sizes of the mesh",
+        f"{name}_{{end}}",
+        "size of the mesh [world]",
+        cases=cases_of("end values last reach", *ends),
+        error=1e-14,
+        statement=f"{subject} an error of at most 1e-14 of the mesh's size for sizes {{reach}}.",
+    )
 
 
 def judged(errors: Any, wrong: Any, positions: NDArray[np.float64] | None = None) -> Judgement:
-    """A Judgement with errors where answers are right in kind; NaN counts as an infinite error."""
-    missed = np.asarray(wrong, bool)
-    numbers = np.where(missed, 0.0, np.nan_to_num(np.abs(errors), nan=np.inf, posinf=np.inf))
-    return Judgement(numbers, missed, positions)
+    """A Judgement with errors where answers are right in kind; NaN counts as an infinite error, one number for all."""
+    numbers, missed = np.broadcast_arrays(np.nan_to_num(np.abs(errors), nan=np.inf, posinf=np.inf), wrong)
+    return Judgement(np.where(missed, 0.0, numbers), missed.copy(), positions)
 
 
 def unit_sized(mesh: TriangleMesh) -> TriangleMesh:
@@ -81,12 +72,6 @@ def around_and_near(mesh: TriangleMesh, count: int, seed: int) -> NDArray[np.flo
     corners = mesh.vertices[mesh.faces[rng.integers(len(mesh.faces), size=count // 2)]]
     near = np.einsum("nk,nkd->nd", weights, corners) + rng.normal(size=(count // 2, 3)) * 1e-3 * mesh.diagonal
     return np.concatenate([around, near])
-
-
-def unit_vectors(count: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Directions (count, 3), uniform on the sphere."""
-    drawn = rng.normal(size=(count, 3))
-    return drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
 
 
 def turned(points: NDArray[np.float64], seed: int) -> NDArray[np.float64]:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.accuracy.reference import mesh as reference
+from geokit.accuracy.stability.fields import unit_vectors
 from geokit.accuracy.stability.mesh_questions import (
     OBLIQUE,
     judged,
@@ -17,7 +18,6 @@ from geokit.accuracy.stability.mesh_questions import (
     surface_of,
     turned,
     unit_sized,
-    unit_vectors,
 )
 from geokit.accuracy.stability.shapes import box, icosphere, moved, rotated, scaled, sliver_fan
 from geokit.accuracy.trials.model import Judgement, Sweeps
@@ -26,6 +26,9 @@ from geokit.mesh.model.triangle_mesh import TriangleMesh
 __all__ = ["SWEEPS"]
 
 SWEEPS = Sweeps()
+of_hits = partial(SWEEPS.add, "mesh.Surface.raycast", "sizes of the mesh")
+of_shares = partial(SWEEPS.add, "mesh.Surface.raycast", "lengths of the ray")
+of_box_hits = partial(SWEEPS.add, "mesh.Surface.raycast", "edges of the box")
 
 RAYS = 300
 # More rays, because leaks are rare.
@@ -61,11 +64,9 @@ def _known(seed: int) -> _Known:
     return _Known(mesh, starts, headings, reference.first_hit(mesh.vertices, mesh.faces, starts, headings).t)
 
 
-@SWEEPS.add(
+@of_hits(
     "raycast_origin",
-    "mesh.Surface.raycast",
     "distance from the origin [sizes of the mesh]",
-    "sizes of the mesh",
     powers(0, 13),
     last=1e9,
     error=1e-6,
@@ -92,11 +93,9 @@ def _hits_sized(scale: float, device: Any, seed: int = 0) -> Judgement:
     return judged(found.t / scale - known.t, found.triangle_id < 0, known.starts)
 
 
-@SWEEPS.add(
+@of_hits(
     "raycast_afar",
-    "mesh.Surface.raycast",
     "distance of the starts [sizes of the mesh]",
-    "sizes of the mesh",
     powers(0, 13),
     last=1e8,
     error=1e-6,
@@ -113,11 +112,9 @@ def _hits_from_afar(distance: float, device: Any, seed: int = 0) -> Judgement:
     return judged(found.t - distance, found.triangle_id < 0, targets)
 
 
-@SWEEPS.add(
+@of_shares(
     "raycast_slivers",
-    "mesh.Surface.raycast",
     "longest edge of the triangles over their height",
-    "lengths of the ray",
     powers(1, 17),
     last=1e15,
     error=1e-14,
@@ -157,11 +154,9 @@ def _aims(seed: int) -> _Aims:
     return _Aims(mesh, starts, places, across)
 
 
-@SWEEPS.add(
+@of_shares(
     "raycast_edges",
-    "mesh.Surface.raycast",
     "distance from the edge or vertex aimed at [radii of the sphere]",
-    "lengths of the ray",
     OFFSETS,
     last=OFFSETS[-1],
     error=1e-14,
@@ -176,27 +171,24 @@ def _hits_beside_edges(offset: float, device: Any, seed: int = 0) -> Judgement:
 
 
 @SWEEPS.add(
-    "crossing_count_edges",
     "mesh.Surface.crossing_count",
-    "distance from the edge or vertex aimed at [radii of the sphere]",
     "lengths of the ray",
+    "crossing_count_edges",
+    "distance from the edge or vertex aimed at [radii of the sphere]",
     OFFSETS,
     last=OFFSETS[-1],
-    error=0.0,
     statement="A ray through an edge or a vertex counts one crossing, however exactly it is aimed: no failure found.",
 )
 def _crossings_beside_edges(offset: float, device: Any, seed: int = 0) -> Judgement:
     """A ray from inside a convex mesh crosses it once."""
     mesh, starts, places, across = _aims(seed)
     count = surface_of(mesh, device).crossing_count(starts, places + offset * across - starts)
-    return judged(np.zeros(EDGE_RAYS), count != 1, places)
+    return judged(0.0, count != 1, places)
 
 
-@SWEEPS.add(
+@of_box_hits(
     "raycast_grazing",
-    "mesh.Surface.raycast",
     "angle between ray and face [radians]",
-    "edges of the box",
     (1.5, *powers(-1, -17, -1)),
     last=1e-9,
     error=1e-6,
@@ -214,14 +206,11 @@ def _grazing_hits(angle: float, device: Any, seed: int = 0) -> Judgement:
     return judged(found.t - distance, found.triangle_id < 0, turned(targets, seed))
 
 
-@SWEEPS.add(
+@of_box_hits(
     "raycast_t_min",
-    "mesh.Surface.raycast",
     "t_min [edges of the box]",
-    "edges of the box",
     powers(-1, -18, -1),
     last=1e-13,
-    error=0.0,
     statement="Rays that start at a hit skip the face they start on with a t_min of 1e-13 of the mesh's size.",
 )
 def _hits_past_the_start(t_min: float, device: Any, seed: int = 0) -> Judgement:
@@ -234,4 +223,4 @@ def _hits_past_the_start(t_min: float, device: Any, seed: int = 0) -> Judgement:
     headings = STRAY * unit_vectors(RAYS, rng) - outward
     headings /= np.linalg.norm(headings, axis=1, keepdims=True)
     t = surface.raycast(starts, headings, t_min=t_min).t
-    return judged(np.zeros(RAYS), ~(np.isfinite(t) & (t > OWN_FACE)), starts)
+    return judged(0.0, ~(np.isfinite(t) & (t > OWN_FACE)), starts)

@@ -18,7 +18,7 @@ from geokit.accuracy.stability.shapes import (
     sliver_fan,
     without_cap,
 )
-from geokit.accuracy.trials.model import Judgement, Sweeps
+from geokit.accuracy.trials.model import Judgement, Sweeps, cases_of
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = ["SWEEPS"]
@@ -41,10 +41,10 @@ def _plate_and_ends() -> tuple[TriangleMesh, TriangleMesh, float]:
 
 
 @SWEEPS.add(
-    "hausdorff_tolerance",
     "mesh.hausdorff",
-    "tolerance [diagonals]",
     "diagonals",
+    "hausdorff_tolerance",
+    "tolerance [diagonals]",
     powers(-1, -15, -2),
     last=1e-11,
     error=lambda tolerance: tolerance + 1e-12,
@@ -65,10 +65,10 @@ def _hausdorff_bounds(tolerance: float, device: Any, offset: float = 0.0, seed: 
 
 
 @SWEEPS.add(
-    "hausdorff_origin",
     "mesh.hausdorff",
-    "distance from the origin [diagonals]",
     "diagonals",
+    "hausdorff_origin",
+    "distance from the origin [diagonals]",
     powers(0, 12, 2),
     last=1e8,
     error=4e-6,
@@ -80,29 +80,28 @@ def _hausdorff_at(offset: float, device: Any, seed: int = 0) -> Judgement:
 
 
 @SWEEPS.add(
-    "orient_closed",
     "mesh.orient",
-    "share of the faces that are flipped",
     "none",
-    (0.1, 0.3, 0.5, 0.7, 0.9, 1.0),
-    last=1.0,
-    error=0.0,
-    statement="Closed components are oriented outward, however many faces were flipped: no failure found.",
-    logarithmic=False,
-    case={"mesh": icosphere(3)},
-)
-@SWEEPS.add(
-    "orient_open",
-    "mesh.orient",
+    "orient_{part}",
     "share of the faces that are flipped",
-    "none",
-    (0.1, 0.2, 0.3, 0.4, 0.45, 0.5, 0.55, 0.6),
-    last=0.45,
-    error=0.0,
-    statement="Open components are oriented like the majority of their faces: right while fewer than half were "
-    "flipped.",
+    cases=cases_of(
+        "part mesh values last statement",
+        (
+            "open",
+            without_cap(icosphere(3), 0.3),
+            (0.1, 0.2, 0.3, 0.4, 0.45, 0.5, 0.55, 0.6),
+            0.45,
+            "Open components are oriented like the majority of their faces: right while fewer than half were flipped.",
+        ),
+        (
+            "closed",
+            icosphere(3),
+            (0.1, 0.3, 0.5, 0.7, 0.9, 1.0),
+            1.0,
+            "Closed components are oriented outward, however many faces were flipped: no failure found.",
+        ),
+    ),
     logarithmic=False,
-    case={"mesh": without_cap(icosphere(3), 0.3)},
 )
 def _oriented(share: float, mesh: TriangleMesh, device: Any, seed: int = 0) -> Judgement:
     """Faces of part of a sphere, some flipped; faces that orient leaves facing inward are wrong."""
@@ -112,14 +111,14 @@ def _oriented(share: float, mesh: TriangleMesh, device: Any, seed: int = 0) -> J
     corners = mended.vertices[mended.faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     middle = corners.mean(axis=1)
-    return judged(np.zeros(len(middle)), (normal * middle).sum(axis=1) < 0.0, middle)
+    return judged(0.0, (normal * middle).sum(axis=1) < 0.0, middle)
 
 
 @SWEEPS.add(
-    "merge_vertices_tolerance",
     "mesh.merge_vertices",
-    "tolerance [shortest edges]",
     "shortest edges",
+    "merge_vertices_tolerance",
+    "tolerance [shortest edges]",
     (2e-3, 1e-2, 0.1, 0.3, 0.6, 0.9, 1.1, 1.5, 2.0),
     last=0.9,
     error=2.0 * NOISE,
@@ -149,10 +148,10 @@ def _merged(tolerance: float, device: Any, seed: int = 0) -> Judgement:
 
 
 @SWEEPS.add(
-    "audit_slivers",
     "mesh.audit",
-    "longest edge of the triangles over their height",
     "relative",
+    "audit_slivers",
+    "longest edge of the triangles over their height",
     powers(0, 15),
     last=1e9,
     error=1e-6,

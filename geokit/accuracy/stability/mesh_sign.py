@@ -21,7 +21,7 @@ from geokit.accuracy.stability.shapes import (
     without_cap,
     without_faces,
 )
-from geokit.accuracy.trials.model import Judgement, Sweeps
+from geokit.accuracy.trials.model import Judgement, Sweeps, cases_of
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = ["SWEEPS"]
@@ -55,30 +55,14 @@ def by_sign(
 
     A promise is the last value, the share of wrong answers and the statement.
     """
-
-    def note(ask: Callable[..., Judgement]) -> Callable[..., Judgement]:
-        for sign, (last, wrong_share, statement) in promises.items():
-            SWEEPS.add(
-                f"{name}_{sign}",
-                f'mesh.Surface.contains(sign="{sign}")',
-                parameter,
-                "none",
-                values,
-                last=last,
-                error=0.0,
-                statement=statement,
-                wrong_share=wrong_share,
-                logarithmic=logarithmic,
-                case={"sign": sign},
-            )(ask)
-        return ask
-
-    return note
+    cases = cases_of("sign last wrong_share statement", *((sign, *promise) for sign, promise in promises.items()))
+    method = 'mesh.Surface.contains(sign="{sign}")'
+    return SWEEPS.add(method, "none", f"{name}_{{sign}}", parameter, values, cases=cases, logarithmic=logarithmic)
 
 
 def _asked(mesh: TriangleMesh, points: NDArray[np.float64], inside: Any, sign: str, device: Any) -> Judgement:
     found = surface_of(mesh, device).contains(points, sign=sign)
-    return judged(np.zeros(len(points)), found != inside, points)
+    return judged(0.0, found != inside, points)
 
 
 def _asked_of_sphere(mesh: TriangleMesh, sign: str, device: Any, seed: int) -> Judgement:

@@ -27,13 +27,13 @@ MOST_NEIGHBORS, MANY = 1024, 3000
 CROWDED = 0.01
 EXACT = "sets of neighbors are exact, and distances to 2^-51: no failure found."
 
-of_radius = partial(SWEEPS.add, method="points.NeighborGrid.radius_search", unit="radii", error=ROUNDING)
+of_radius = partial(SWEEPS.add, "points.NeighborGrid.radius_search", "radii", error=ROUNDING)
 
 
 @of_radius(
     "radius_search_radius",
-    parameter="radius [spacings], cells made for 2 spacings",
-    values=(1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0, 1e3),
+    "radius [spacings], cells made for 2 spacings",
+    (1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0, 1e3),
     last=1e3,
     statement=f"From a thousandth of the spacing to a thousand spacings {EXACT}",
 )
@@ -45,8 +45,8 @@ def radii(ratio: float, *, seed: int = 0, device: Any = None) -> Judgement:
 
 @of_radius(
     "radius_search_crowd",
-    parameter="share of the points in 1 % of the volume",
-    values=(0.01, 0.1, 0.5, 0.9, 0.99, 1.0),
+    "share of the points in 1 % of the volume",
+    (0.01, 0.1, 0.5, 0.9, 0.99, 1.0),
     last=1.0,
     statement=f"With any share of the points in 1 % of the volume, {EXACT}",
     logarithmic=False,
@@ -62,8 +62,8 @@ def crowds(share: float, *, seed: int = 0, device: Any = None) -> Judgement:
 
 @of_radius(
     "radius_search_extent",
-    parameter="extent of the cloud [radii]",
-    values=(1e-6, 1e-3, 1.0, 1e3, 1e6, 1e9, 1e12, 1e15),
+    "extent of the cloud [radii]",
+    (1e-6, 1e-3, 1.0, 1e3, 1e6, 1e9, 1e12, 1e15),
     last=1e15,
     statement=f"In clouds that are 1e-6 to 1e15 radii wide {EXACT}",
 )
@@ -77,8 +77,8 @@ def extents(ratio: float, *, seed: int = 0, device: Any = None) -> Judgement:
 
 @of_radius(
     "radius_search_duplicates",
-    parameter="points in one place",
-    values=(1.0, 10.0, 100.0, 1000.0),
+    "points in one place",
+    (1.0, 10.0, 100.0, 1000.0),
     last=1000.0,
     statement=f"With up to 1000 points in one place {EXACT}",
 )
@@ -91,11 +91,11 @@ def duplicates(copies: float, *, seed: int = 0, device: Any = None) -> Judgement
 
 
 @SWEEPS.add(
-    name="knn_k",
-    method="points.NeighborGrid.knn",
-    parameter="neighbors of a query",
-    unit="relative",
-    values=(1.0, 8.0, 32.0, 128.0, 512.0, 1024.0, 1025.0, 2048.0),
+    "points.NeighborGrid.knn",
+    "relative",
+    "knn_k",
+    "neighbors of a query",
+    (1.0, 8.0, 32.0, 128.0, 512.0, 1024.0, 1025.0, 2048.0),
     last=float(MOST_NEIGHBORS),
     error=ROUNDING,
     statement=f"Up to {MOST_NEIGHBORS} nearest points are exact, ties by the lowest index; more are refused.",

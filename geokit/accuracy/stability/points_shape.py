@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.accuracy.stability.fields import unit_vectors
-from geokit.accuracy.trials.model import Judgement, Sweeps
+from geokit.accuracy.stability.mesh_questions import judged
+from geokit.accuracy.trials.model import Judgement, Sweeps, cases_of
 
 __all__ = ["SWEEPS"]
 
 SWEEPS = Sweeps()
+of_normals = partial(SWEEPS.add, "points.normals", "degrees")
 Floats = NDArray[np.float64]
 
 # Default number of neighbors of a normal, and points along a side of the noisy plane.
@@ -28,28 +31,10 @@ FOUND = 1e-9
 LATTICE, ASKED = 9, 4.0
 
 
-class _Kernel(NamedTuple):
-    """Promised error of a kernel at two spacings on a lattice, and its rms error at three spacings of random points."""
-
-    error: float
-    scattered: float
-
-
-# Measured on a lattice at 2 to 4 spacings: 0.24, 0.0053, 0.034 and 0.016.
-KERNELS = {
-    "count": _Kernel(0.5, 0.10),
-    "cubic_spline": _Kernel(0.02, 0.21),
-    "wendland_c2": _Kernel(0.08, 0.23),
-    "poly6": _Kernel(0.05, 0.18),
-}
-
-
-@SWEEPS.add(
-    name="normals_noise",
-    method="points.normals",
-    parameter="noise [spacings], k = 16",
-    unit="degrees",
-    values=(1e-4, 1e-3, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0),
+@of_normals(
+    "normals_noise",
+    "noise [spacings], k = 16",
+    (1e-4, 1e-3, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0),
     last=0.1,
     error=15.0,
     statement="Noise of a tenth of the spacing tilts normals by at most 15 degrees (1.6 in the median) at k = 16, "
@@ -64,12 +49,10 @@ def noisy_planes(noise: float, *, seed: int = 0, device: Any = None) -> Judgemen
     return _angles(points, np.array([0.0, 0.0, 1.0]), K, device)
 
 
-@SWEEPS.add(
-    name="normals_curvature",
-    method="points.normals",
-    parameter="radius of the neighborhood [radii of curvature]",
-    unit="degrees",
-    values=(0.6, 0.8, 1.2, 1.6, 2.4, 3.2),
+@of_normals(
+    "normals_curvature",
+    "radius of the neighborhood [radii of curvature]",
+    (0.6, 0.8, 1.2, 1.6, 2.4, 3.2),
     last=1.2,
     error=30.0,
     statement="Neighborhoods with a radius of up to 1.2 radii of curvature give normals to 30 degrees at worst (4 "
@@ -90,6 +73,19 @@ def wide_planes(width: float, *, seed: int = 0, device: Any = None) -> Judgement
     return _angles(points, normals, min(k, MOST), device)
 
 
+@SWEEPS.add(
+    "points.register, {method}",
+    "sizes",
+    "register_{method}_angle",
+    "angle of the start [degrees]",
+    (1.0, 10.0, 30.0, 45.0, 90.0, 135.0, 180.0),
+    cases=cases_of("method", ("point_to_plane",), ("point_to_point",)),
+    last=45.0,
+    error=1e-12,
+    statement="A noise-free ellipsoid (axes 1, 0.7, 0.45) is recovered exactly from starts rotated by up to 45 "
+    "degrees; from 90 degrees on some runs end at another pose, which rmse shows.",
+    logarithmic=False,
+)
 def turned_ellipsoids(angle: float, *, method: str, seed: int = 0, device: Any = None) -> Judgement:
     """Registration of an ellipsoid's points to a rotated copy; other poses are wrong."""
     from geokit.points._register import register
@@ -108,22 +104,25 @@ def turned_ellipsoids(angle: float, *, method: str, seed: int = 0, device: Any =
     return Judgement(errors, wrong)
 
 
-for method in ("point_to_plane", "point_to_point"):
-    SWEEPS.add(
-        name=f"register_{method}_angle",
-        method=f"points.register, {method}",
-        parameter="angle of the start [degrees]",
-        unit="sizes",
-        values=(1.0, 10.0, 30.0, 45.0, 90.0, 135.0, 180.0),
-        last=45.0,
-        error=1e-12,
-        statement="A noise-free ellipsoid (axes 1, 0.7, 0.45) is recovered exactly from starts rotated by up to 45 "
-        "degrees; from 90 degrees on some runs end at another pose, which rmse shows.",
-        logarithmic=False,
-        case={"method": method},
-    )(turned_ellipsoids)
-
-
+# Errors measured on a lattice at 2 to 4 spacings: 0.24, 0.0053, 0.034 and 0.016. ``scattered`` is the rms error at
+# three spacings of random points.
+@SWEEPS.add(
+    "points.density, {kernel}",
+    "relative",
+    "density_{kernel}_radius",
+    "radius [spacings]",
+    (4.0, 3.0, 2.0, 1.5, 1.0, 0.75, 0.5),
+    cases=cases_of(
+        "kernel error scattered",
+        ("count", 0.5, 0.10),
+        ("cubic_spline", 0.02, 0.21),
+        ("wendland_c2", 0.08, 0.23),
+        ("poly6", 0.05, 0.18),
+    ),
+    last=2.0,
+    statement="On a lattice a radius of 2 spacings or more gives the density to {error:.0%}; a radius of 1 spacing "
+    "gives nothing like it. Random points scatter more: {scattered:.0%} rms at 3 spacings.",
+)
 def lattice_densities(radius: float, *, kernel: str, seed: int = 0, device: Any = None) -> Judgement:
     """Densities at random positions in a lattice of spacing 1; the exact density is 1."""
     from geokit.points._density import density
@@ -132,22 +131,7 @@ def lattice_densities(radius: float, *, kernel: str, seed: int = 0, device: Any 
     points = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3)
     queries = np.random.default_rng(seed).uniform(-ASKED, ASKED, (2000, 3))
     found = density(points, radius=radius, kernel=kernel, queries=queries, device=device)
-    return Judgement(np.abs(found - 1.0), np.zeros(len(queries), bool), queries)
-
-
-for kernel, (error, scattered) in KERNELS.items():
-    SWEEPS.add(
-        name=f"density_{kernel}_radius",
-        method=f"points.density, {kernel}",
-        parameter="radius [spacings]",
-        unit="relative",
-        values=(4.0, 3.0, 2.0, 1.5, 1.0, 0.75, 0.5),
-        last=2.0,
-        error=error,
-        statement=f"On a lattice a radius of 2 spacings or more gives the density to {error:.0%}; a radius of 1 "
-        f"spacing gives nothing like it. Random points scatter more: {scattered:.0%} rms at 3 spacings.",
-        case={"kernel": kernel},
-    )(lattice_densities)
+    return judged(found - 1.0, False, queries)
 
 
 def _angles(points: Floats, true: Floats, k: int, device: Any) -> Judgement:

@@ -9,7 +9,6 @@ from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = [
     "box",
-    "box_distance",
     "copied_faces",
     "flipped_faces",
     "icosphere",
@@ -34,7 +33,7 @@ _BOX_SIDES = ((0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 
 def box(
     lower: tuple[float, float, float] = (-0.5, -0.5, -0.5), upper: tuple[float, float, float] = (0.5, 0.5, 0.5)
 ) -> TriangleMesh:
-    """A closed box of 12 triangles between two corners [world]; its distances are those of :func:`box_distance`."""
+    """A closed box of 12 triangles between two corners [world]."""
     ends = np.array([lower, upper], np.float64)
     vertices = np.array([[ends[i & 1, 0], ends[i >> 1 & 1, 1], ends[i >> 2, 2]] for i in range(8)])
     faces = [[side[0], *side[k : k + 2]] for side in _BOX_SIDES for k in (1, 2)]
@@ -168,12 +167,6 @@ def rotation(seed: int) -> NDArray[np.float64]:
     q, r = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
     q = q * np.sign(np.diag(r))
     return q * np.sign(np.linalg.det(q))
-
-
-def box_distance(points: NDArray[np.float64], lower: NDArray, upper: NDArray) -> NDArray[np.float64]:
-    """Signed distance (N,) to a box, negative inside [world]."""
-    beyond = np.maximum(np.asarray(lower) - points, points - np.asarray(upper))
-    return np.linalg.norm(np.maximum(beyond, 0.0), axis=1) + np.minimum(beyond.max(axis=1), 0.0)
 
 
 def sphere_distance(points: NDArray[np.float64], radius: float = 1.0) -> NDArray[np.float64]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,10 +14,11 @@ from geokit.accuracy.trials.model import Judgement, Sweeps
 if TYPE_CHECKING:
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["SMOOTHING", "SWEEPS"]
+__all__ = ["SWEEPS", "WITH_OPENVDB"]
 
 # What is asked of every build of geokit, and what needs OpenVDB.
-SWEEPS, SMOOTHING = Sweeps(), Sweeps()
+SWEEPS, WITH_OPENVDB = Sweeps(), Sweeps()
+of_renormalize = partial(SWEEPS.add, "volume.renormalize", "voxels")
 Floats = NDArray[np.float64]
 
 HALF_WIDTH = 3.0
@@ -33,12 +35,10 @@ WAVE_NUMBER = 0.25
 GAUSSIAN_SHRINKS = 8.0 / 3.0
 
 
-@SWEEPS.add(
-    name="renormalize_slope",
-    method="volume.renormalize",
-    parameter="slope of the field, cut off at +-3 voxels",
-    unit="voxels",
-    values=(0.1, 0.3, 1.0, 1.7, 3.0, 6.0, 16.0),
+@of_renormalize(
+    "renormalize_slope",
+    "slope of the field, cut off at +-3 voxels",
+    (0.1, 0.3, 1.0, 1.7, 3.0, 6.0, 16.0),
     last=1.7,
     error=0.02,
     statement="Uniform slopes up to half_width / 1.75 become distances with an error of at most 0.02 voxel "
@@ -47,19 +47,14 @@ GAUSSIAN_SHRINKS = 8.0 / 3.0
 )
 def evened_slopes(slope: float, *, seed: int = 0, device: Any = None) -> Judgement:
     """Redistancing of distances multiplied by a constant."""
-    from geokit.volume._morphology import renormalize
-
     distance = ball(RADIUS)
-    spoiled = _band(distance, lambda p: slope * distance(p), RADIUS)
-    return _judged(renormalize(spoiled, device=device), distance, RADIUS, seed, device)
+    return _evened(distance, lambda p: slope * distance(p), RADIUS, seed, device)
 
 
-@SWEEPS.add(
-    name="renormalize_uneven_slope",
-    method="volume.renormalize",
-    parameter="change of the slope [1 / voxel]",
-    unit="voxels",
-    values=(0.01, 0.02, 0.04, 0.08, 0.12, 0.2),
+@of_renormalize(
+    "renormalize_uneven_slope",
+    "change of the slope [1 / voxel]",
+    (0.01, 0.02, 0.04, 0.08, 0.12, 0.2),
     last=0.02,
     error=0.1,
     statement="If the slope changes by up to 2 % a voxel, distances have an error of at most 0.1 voxel (at 4 % "
@@ -67,20 +62,16 @@ def evened_slopes(slope: float, *, seed: int = 0, device: Any = None) -> Judgeme
 )
 def evened_waves(change: float, *, seed: int = 0, device: Any = None) -> Judgement:
     """Redistancing of distances multiplied by a wave with mean 1."""
-    from geokit.volume._morphology import renormalize
-
     distance = ball(RADIUS)
     amplitude = change / WAVE_NUMBER
-    spoiled = _band(distance, lambda p: distance(p) * (1.0 + amplitude * np.sin(WAVE_NUMBER * p[..., 0])), RADIUS)
-    return _judged(renormalize(spoiled, device=device), distance, RADIUS, seed, device)
+    values = lambda p: distance(p) * (1.0 + amplitude * np.sin(WAVE_NUMBER * p[..., 0]))  # noqa: E731
+    return _evened(distance, values, RADIUS, seed, device)
 
 
-@SWEEPS.add(
-    name="renormalize_curvature",
-    method="volume.renormalize",
-    parameter="radius of curvature [voxels], slope 0.7",
-    unit="voxels",
-    values=(20.0, 10.0, 5.0, 2.5, 1.25, 0.6),
+@of_renormalize(
+    "renormalize_curvature",
+    "radius of curvature [voxels], slope 0.7",
+    (20.0, 10.0, 5.0, 2.5, 1.25, 0.6),
     last=10.0,
     error=0.02,
     statement="Distances have an error of at most 0.02 voxel around surfaces whose radius of curvature is at "
@@ -88,19 +79,16 @@ def evened_waves(change: float, *, seed: int = 0, device: Any = None) -> Judgeme
 )
 def evened_balls(radius: float, *, seed: int = 0, device: Any = None) -> Judgement:
     """Redistancing around balls from fields with a slope below 1."""
-    from geokit.volume._morphology import renormalize
-
     distance = ball(radius)
-    spoiled = _band(distance, lambda p: 0.7 * distance(p), radius)
-    return _judged(renormalize(spoiled, device=device), distance, radius, seed, device)
+    return _evened(distance, lambda p: 0.7 * distance(p), radius, seed, device)
 
 
 @SWEEPS.add(
-    name="offset_radius",
-    method="volume.offset",
-    parameter="radius of curvature that is left [voxels] of 12",
-    unit="voxels",
-    values=(11.0, 10.0, 8.0, 4.0, 2.0, 1.0, 0.3),
+    "volume.offset",
+    "voxels",
+    "offset_radius",
+    "radius of curvature that is left [voxels] of 12",
+    (11.0, 10.0, 8.0, 4.0, 2.0, 1.0, 0.3),
     last=8.0,
     error=0.05,
     statement="Offsets have an error of at most 0.05 voxel if the radius of curvature is at least 8 voxels, "
@@ -114,12 +102,12 @@ def shrunk_balls(radius: float, *, seed: int = 0, device: Any = None) -> Judgeme
     return _judged(offset(body, radius - SHRINKING, device=device), ball(radius), radius, seed, device)
 
 
-@SMOOTHING.add(
-    name="smooth_gaussian_radius",
-    method="volume.smooth, gaussian",
-    parameter="radius of a ball [voxels]",
-    unit="voxels",
-    values=(20.0, 16.0, 12.0, 8.0, 4.0, 3.0, 2.0),
+@WITH_OPENVDB.add(
+    "volume.smooth, gaussian",
+    "voxels",
+    "smooth_gaussian_radius",
+    "radius of a ball [voxels]",
+    (20.0, 16.0, 12.0, 8.0, 4.0, 3.0, 2.0),
     last=8.0,
     error=0.05,
     statement="One pass of width 1 moves the surface inward by 2.7 voxel^2 over the radius of curvature, with an "
@@ -142,6 +130,14 @@ def _band(distance: Any, values: Any, radius: float) -> SparseVolume:
         return np.asarray(np.where(np.abs(d) < HALF_WIDTH, values(points), np.copysign(HALF_WIDTH, d)))
 
     return level_set(cut, radius, HALF_WIDTH)
+
+
+def _evened(distance: Any, values: Any, radius: float, seed: int, device: Any) -> Judgement:
+    """Redistancing of values around a surface."""
+    from geokit.volume._morphology import renormalize
+
+    evened = renormalize(_band(distance, values, radius), device=device)
+    return _judged(evened, distance, radius, seed, device)
 
 
 def _judged(

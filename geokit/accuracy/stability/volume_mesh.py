@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import operator
 import warnings
+from collections.abc import Iterator
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from geokit.accuracy.reference import mesh as reference
 from geokit.accuracy.stability import shapes
-from geokit.accuracy.stability.fields import MIDDLE, ball, level_set, unit_vectors
+from geokit.accuracy.stability.fields import MIDDLE, ball, joined, level_set, unit_vectors
 from geokit.accuracy.trials.model import Judgement, Sweeps
 
 if TYPE_CHECKING:
@@ -34,10 +35,6 @@ WALLS = 3
 ROUNDING = 1e-6
 # Radius of the sphere whose isovalues leave the band [voxels].
 BAND_RADIUS = 20.0
-# By method, error times radius [voxels^2]. A triangle has edges of up to sqrt(3) voxels and sags by 3/8 below a sphere
-# through its corners; corners are off by another 1/8 (marching cubes) to 3/8. Measured 0.73, 0.52 and 0.67; the promise
-# is twice that.
-CURVATURE_ERROR = {"surface_nets": 1.5, "marching_cubes": 1.0, "dual_contouring": 1.5}
 # Voxels across the moved torus, and the distance of checked voxels from random vertices [voxels].
 FAR_VOXELS, FAR_REACH = 40.0, 2
 # Direction without a simple ratio of components, so that no coordinate stays exact.
@@ -45,20 +42,19 @@ FAR_DIRECTION = np.array([0.6, -0.5, 0.62])
 
 
 @SWEEPS.add(
-    name="from_mesh_thin_wall",
-    method="volume.from_mesh",
-    parameter="thickness of a wall [voxels]",
-    unit="voxels",
-    values=(4.0, 3.0, 2.0, 1.0, 0.5, 0.25, 0.1),
+    "volume.from_mesh",
+    "voxels",
+    "from_mesh_thin_wall",
+    "thickness of a wall [voxels]",
+    (4.0, 3.0, 2.0, 1.0, 0.5, 0.25, 0.1),
     last=2.0,
-    # The interpolant of |x| is a mean over corners with a variance of at most a quarter voxel^2 each way.
     error=0.5 + ROUNDING,
     statement="Points inside walls of 2 voxels and more have the right sign; the interpolated distance is off by "
     "up to half a voxel around the middle of any wall, and walls thinner than a voxel may have no inside.",
 )
-def wall_distances(thickness: float, *, seed: int = 0, device: Any = None) -> Judgement:
+@joined
+def wall_distances(thickness: float, *, seed: int = 0, device: Any = None) -> Iterator[Judgement]:
     """Signed distances at points inside walls, sampled from their level set at order 1."""
-    errors, wrong, positions = [], [], []
     for number in range(WALLS):
         mesh, turn, middle = _wall(thickness, seed, number)
         random = np.random.default_rng([seed, number])
@@ -66,46 +62,40 @@ def wall_distances(thickness: float, *, seed: int = 0, device: Any = None) -> Ju
         along = random.uniform(-WALL_ASKED, WALL_ASKED, (300, 2))
         points = np.column_stack([along, across]) @ turn.T + middle
         found = _level_set_of(mesh, device).sample(points, device=device)
-        errors.append(np.abs(found - (np.abs(across) - 0.5 * thickness)))
-        wrong.append(found >= 0.0)
-        positions.append(points)
-    return _together(errors, wrong, positions)
+        yield Judgement(np.abs(found - (np.abs(across) - 0.5 * thickness)), np.asarray(found >= 0.0), points)
 
 
 @SWEEPS.add(
-    name="from_volume_thin_wall",
-    method="mesh.from_volume",
-    parameter="thickness of a wall [voxels]",
-    unit="voxels",
-    values=(4.0, 3.0, 2.0, 1.0, 0.5, 0.25, 0.1),
+    "mesh.from_volume",
+    "voxels",
+    "from_volume_thin_wall",
+    "thickness of a wall [voxels]",
+    (4.0, 3.0, 2.0, 1.0, 0.5, 0.25, 0.1),
     last=2.0,
     error=0.1,
     statement="Both faces of walls of 2 voxels and more are recovered to 0.1 voxel; walls of 1 voxel and less are "
     "off by half a voxel and more, have holes, or are lost.",
 )
-def wall_surfaces(thickness: float, *, seed: int = 0, device: Any = None) -> Judgement:
+@joined
+def wall_surfaces(thickness: float, *, seed: int = 0, device: Any = None) -> Iterator[Judgement]:
     """Distances of points on both faces of a wall from the reconstructed surface."""
     from geokit.mesh.volumes.from_volume import from_volume
 
-    errors, wrong, positions = [], [], []
     for number in range(WALLS):
         mesh, turn, middle = _wall(thickness, seed, number)
         random = np.random.default_rng([seed, number])
         across = 0.5 * thickness * np.where(np.arange(40) % 2, 1.0, -1.0)
         points = np.column_stack([random.uniform(-WALL_ASKED, WALL_ASKED, (40, 2)), across]) @ turn.T + middle
         found = from_volume(_level_set_of(mesh, device), device=device)
-        errors.append(_distances_from(found, points))
-        wrong.append(np.full(40, len(found.faces) == 0))
-        positions.append(points)
-    return _together(errors, wrong, positions)
+        yield Judgement(_distances_from(found, points), np.full(40, len(found.faces) == 0), points)
 
 
 @SWEEPS.add(
-    name="from_volume_isovalue",
-    method="mesh.from_volume",
-    parameter="distance of the isovalue from the surface [voxels], band of half width 3",
-    unit="voxels",
-    values=(0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 2.9, 3.0, 3.5),
+    "mesh.from_volume",
+    "voxels",
+    "from_volume_isovalue",
+    "distance of the isovalue from the surface [voxels], band of half width 3",
+    (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 2.9, 3.0, 3.5),
     last=2.0,
     error=0.06,
     statement="Isovalues up to half_width - 1 voxels from the surface give the offset surface, to 0.06 voxel on a "
@@ -113,53 +103,53 @@ def wall_surfaces(thickness: float, *, seed: int = 0, device: Any = None) -> Jud
     "none.",
     logarithmic=False,
 )
-def offset_surfaces(isovalue: float, *, seed: int = 0, device: Any = None) -> Judgement:
+@joined
+def offset_surfaces(isovalue: float, *, seed: int = 0, device: Any = None) -> Iterator[Judgement]:
     """Distances of the isosurfaces inside and outside of a sphere from the exact spheres."""
     from geokit.mesh.volumes.from_volume import from_volume
 
     band = level_set(ball(BAND_RADIUS), BAND_RADIUS)
-    judgements = []
     for signed in (isovalue, -isovalue):
         found = from_volume(band, isovalue=signed, device=device)
-        judgements.append(_judged_sphere(found, MIDDLE, BAND_RADIUS + signed, seed, backwards=0))
-    return _together(*zip(*judgements, strict=True))
+        yield _judged_sphere(found, MIDDLE, BAND_RADIUS + signed, seed, backwards=0)
 
 
-def ball_surfaces(radius: float, *, method: str, seed: int = 0, device: Any = None) -> Judgement:
+# By method, error times radius [voxels^2]. A triangle has edges of up to sqrt(3) voxels and sags by 3/8 below a sphere
+# through its corners; corners are off by another 1/8 (marching cubes) to 3/8. Measured 0.73, 0.52 and 0.67; the promise
+# is twice that.
+@SWEEPS.add(
+    "mesh.from_volume, {method}",
+    "voxels",
+    "from_volume_{method}_curvature",
+    "radius of curvature [voxels]",
+    (16.0, 8.0, 4.0, 2.0, 1.0, 0.5, 0.25),
+    cases=[
+        {"method": method, "constant": constant, "error": partial(operator.truediv, constant)}
+        for method, constant in (("surface_nets", 1.5), ("marching_cubes", 1.0), ("dual_contouring", 1.5))
+    ],
+    last=1.0,
+    statement="The surface of a distance field is off by at most {constant:g} voxel^2 over the radius of curvature, "
+    "down to a radius of 1 voxel; balls of less than 0.87 voxel may be lost.",
+)
+@joined
+def ball_surfaces(radius: float, *, method: str, seed: int = 0, device: Any = None) -> Iterator[Judgement]:
     """Distances between balls and their reconstructed surfaces, in both directions."""
     from geokit.mesh.volumes.from_volume import from_volume
 
     # Balls centered on a cell are the first to contain no voxel.
     centers = [np.full(3, 0.5), *np.random.default_rng(seed).random((3, 3))]
-    judgements = []
     for center in centers:
         body = level_set(ball(radius, center), radius)
         found = from_volume(body, method=method, device=device)
-        judgements.append(_judged_sphere(found, center, radius, seed, backwards=30))
-    return _together(*zip(*judgements, strict=True))
-
-
-for method, constant in CURVATURE_ERROR.items():
-    SWEEPS.add(
-        name=f"from_volume_{method}_curvature",
-        method=f"mesh.from_volume, {method}",
-        parameter="radius of curvature [voxels]",
-        unit="voxels",
-        values=(16.0, 8.0, 4.0, 2.0, 1.0, 0.5, 0.25),
-        last=1.0,
-        error=partial(operator.truediv, constant),
-        statement=f"The surface of a distance field is off by at most {constant:g} voxel^2 over the radius of "
-        "curvature, down to a radius of 1 voxel; balls of less than 0.87 voxel may be lost.",
-        case={"method": method},
-    )(ball_surfaces)
+        yield _judged_sphere(found, center, radius, seed, backwards=30)
 
 
 @SWEEPS.add(
-    name="from_mesh_origin",
-    method="volume.from_mesh",
-    parameter="distance from the origin [sizes of the mesh]",
-    unit="sizes",
-    values=(1.0, 1e3, 1e6, 1e9, 1e12, 1e14, 1e15),
+    "volume.from_mesh",
+    "sizes",
+    "from_mesh_origin",
+    "distance from the origin [sizes of the mesh]",
+    (1.0, 1e3, 1e6, 1e9, 1e12, 1e14, 1e15),
     last=1e9,
     error=1e-6,
     statement="Distances have an error of at most 1e-6 of the size up to 1e9 sizes from the origin: a few "
@@ -222,7 +212,3 @@ def _judged_sphere(mesh: TriangleMesh, center: Floats, radius: float, seed: int,
     asked = center + radius * unit_vectors(backwards, seed)
     errors = np.concatenate([errors, _distances_from(mesh, asked)]) if backwards else errors
     return Judgement(errors, np.zeros(len(errors), bool), np.concatenate([points, asked]))
-
-
-def _together(errors: Any, wrong: Any, positions: Any) -> Judgement:
-    return Judgement(np.concatenate(list(errors)), np.concatenate(list(wrong)), np.concatenate(list(positions)))

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.accuracy.stability.fields import MIDDLE, Field, ball, field, level_set, unit_vectors
+from geokit.accuracy.stability.fields import MIDDLE, Field, ball, field, joined, level_set, unit_vectors
+from geokit.accuracy.stability.mesh_questions import judged
 from geokit.accuracy.trials.model import Judgement, Sweeps
 
 __all__ = ["SWEEPS"]
@@ -21,6 +24,7 @@ RAYS = 4000
 # Trilinear interpolation moves the sphere's surface inward by at most 0.25 voxel^2 / radius if the cells that it
 # crosses hold the whole field; half as much again for cells nearer to the center than the surface.
 SURFACE = 1.5 * 0.25 / RADIUS
+of_hits = partial(SWEEPS.add, "volume.raycast", "voxels", error=SURFACE)
 # Aimed rays pass the center within this share of the radius.
 AIMED = 0.9
 # A cell's diagonal and more [voxels]: bounds the distance from the surface to the corners of the cells that it crosses.
@@ -32,14 +36,11 @@ FOG_REACH = 12
 EMISSION_ERROR = 1e-9
 
 
-@SWEEPS.add(
-    name="raycast_volume_slope",
-    method="volume.raycast",
-    parameter="slope of the field, cut off at +-3 voxels",
-    unit="voxels",
-    values=(0.25, 0.5, 1.0, 1.7, 3.0, 6.0, 16.0),
+@of_hits(
+    "raycast_volume_slope",
+    "slope of the field, cut off at +-3 voxels",
+    (0.25, 0.5, 1.0, 1.7, 3.0, 6.0, 16.0),
     last=1.7,
-    error=SURFACE,
     statement="Rays hit at any slope: they find the interpolant's surface, which is that of the field up to a "
     "slope of half_width / 1.75. Steeper fields are cut off within the cells that the surface crosses, and the "
     "surface is up to half a voxel off.",
@@ -50,14 +51,11 @@ def steep_hits(slope: float, *, seed: int = 0, device: Any = None) -> Judgement:
     return _hits(lambda p: slope * distance(p), HALF_WIDTH, _aimed(seed), device)
 
 
-@SWEEPS.add(
-    name="raycast_volume_band",
-    method="volume.raycast",
-    parameter="half width of a distance field's band [voxels]",
-    unit="voxels",
-    values=(6.0, 3.0, 2.0, CELL, 1.25, 1.0, 0.5),
+@of_hits(
+    "raycast_volume_band",
+    "half width of a distance field's band [voxels]",
+    (6.0, 3.0, 2.0, CELL, 1.25, 1.0, 0.5),
     last=CELL,
-    error=SURFACE,
     statement="A half width of 1.75 voxels is enough: the corners of the cells that the surface crosses are then "
     "in the band. In narrower bands hits are up to half a voxel off.",
 )
@@ -66,12 +64,10 @@ def banded_hits(half_width: float, *, seed: int = 0, device: Any = None) -> Judg
     return _hits(ball(RADIUS), half_width, _aimed(seed), device)
 
 
-@SWEEPS.add(
-    name="raycast_volume_exponent",
-    method="volume.raycast",
-    parameter="exponent of a field that is a power of the distance",
-    unit="voxels",
-    values=(1.0, 1.25, 1.5, 2.0, 3.0, 5.0, 9.0),
+@of_hits(
+    "raycast_volume_exponent",
+    "exponent of a field that is a power of the distance",
+    (1.0, 1.25, 1.5, 2.0, 3.0, 5.0, 9.0),
     last=2.0,
     error=0.25,
     statement="Fields that are not distances lose no rays; only the interpolant's surface moves, by up to a "
@@ -88,14 +84,11 @@ def power_hits(exponent: float, *, seed: int = 0, device: Any = None) -> Judgeme
     return _hits(power, HALF_WIDTH**exponent, _aimed(seed), device)
 
 
-@SWEEPS.add(
-    name="raycast_volume_grazing",
-    method="volume.raycast",
-    parameter="angle between ray and surface [degrees], radius 16 voxels",
-    unit="voxels",
-    values=(90.0, 60.0, 30.0, 10.0, 4.0, 2.0, 1.0, 0.3, 0.1),
+@of_hits(
+    "raycast_volume_grazing",
+    "angle between ray and surface [degrees], radius 16 voxels",
+    (90.0, 60.0, 30.0, 10.0, 4.0, 2.0, 1.0, 0.3, 0.1),
     last=4.0,
-    error=SURFACE,
     statement="Rays at 4 degrees or more to a surface with a radius of 16 voxels hit it; in general, rays that "
     "reach at least 0.375 voxel^2 over the radius below it do. The interpolant's surface lies at most that far "
     "inside, and shallower rays may miss it.",
@@ -106,14 +99,11 @@ def grazing_hits(angle: float, *, seed: int = 0, device: Any = None) -> Judgemen
     return _hits(ball(RADIUS), HALF_WIDTH, _rays(np.full(RAYS, beside), seed), device)
 
 
-@SWEEPS.add(
-    name="raycast_volume_scale",
-    method="volume.raycast",
-    parameter="factor on a distance field and its background",
-    unit="voxels",
-    values=(1.0, 1e-10, 1e-20, 1e-30, 1e-37, 1e-43, 1e-44),
+@of_hits(
+    "raycast_volume_scale",
+    "factor on a distance field and its background",
+    (1.0, 1e-10, 1e-20, 1e-30, 1e-37, 1e-43, 1e-44),
     last=1e-37,
-    error=SURFACE,
     statement="Surfaces are found at any scale that float32 represents, down to 1e-37 a voxel; below it, values "
     "lose digits and then vanish.",
 )
@@ -124,22 +114,22 @@ def scaled_hits(factor: float, *, seed: int = 0, device: Any = None) -> Judgemen
 
 
 @SWEEPS.add(
-    name="integrate_free_path",
-    method="volume.integrate",
-    parameter="mean free path [voxels] in fog that begins and ends within a voxel",
-    unit="relative",
-    values=(256.0, 64.0, 16.0, 4.0, 1.0, 0.25),
+    "volume.integrate",
+    "relative",
+    "integrate_free_path",
+    "mean free path [voxels] in fog that begins and ends within a voxel",
+    (256.0, 64.0, 16.0, 4.0, 1.0, 0.25),
     last=16.0,
     error=0.07,
     statement="The integral of the interpolant is exact, but each border of a fog is known only to half a voxel: "
     "transmittances have an error of at most exp(1 / mean free path) - 1, 7 % for a mean free path of 16 voxels.",
 )
-def slab_transmittances(free_path: float, *, seed: int = 0, device: Any = None) -> Judgement:
+@joined
+def slab_transmittances(free_path: float, *, seed: int = 0, device: Any = None) -> Iterator[Judgement]:
     """Rays across slabs of uniform fog, straight and slanted; voxels with their center in the fog have its density."""
     from geokit.volume._integrate import integrate
 
     random = np.random.default_rng(seed)
-    errors, positions = [], []
     # Just under two voxels and just over are the thickest and the thinnest slabs that look alike.
     ends = [(-5.999, 5.999), (-6.001, 6.001), *np.sort(random.uniform(-7.0, 7.0, (4, 2)), axis=1).tolist()]
     for low, high in ends:
@@ -150,38 +140,33 @@ def slab_transmittances(free_path: float, *, seed: int = 0, device: Any = None) 
         found = integrate(fog, starts, toward, extinction=1.0 / free_path, device=device).transmittance
         slant = np.linalg.norm(toward, axis=1)
         # Compared with a straight ray: a slanted ray passes through more of everything.
-        errors.append(np.abs((found * np.exp((high - low) * slant / free_path)) ** (1.0 / slant) - 1.0))
-        positions.append(starts)
-    total = np.concatenate(errors)
-    return Judgement(total, np.zeros(len(total), bool), np.concatenate(positions))
+        yield judged((found * np.exp((high - low) * slant / free_path)) ** (1.0 / slant) - 1.0, False, starts)
 
 
 @SWEEPS.add(
-    name="integrate_emission_depth",
-    method="volume.integrate",
-    parameter="optical depth of a voxel",
-    unit="relative",
-    values=(1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0, 1e3, 1e4),
+    "volume.integrate",
+    "relative",
+    "integrate_emission_depth",
+    "optical depth of a voxel",
+    (1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0, 1e3, 1e4),
     last=1e4,
     error=EMISSION_ERROR,
     statement="Emission has a relative error of at most 1e-9 where a voxel's optical depth is 1e-3 to 1e4: no "
     "failure found.",
 )
-def emissions(depth: float, *, seed: int = 0, device: Any = None) -> Judgement:
+@joined
+def emissions(depth: float, *, seed: int = 0, device: Any = None) -> Iterator[Judgement]:
     """Rays that start inside uniform glowing fog; a ray that also ends there sees ``1 - exp(-length)``."""
     from geokit.volume._integrate import integrate
 
     fog = field(lambda p: np.ones(p.shape[:-1]), FOG_REACH)
     starts = np.random.default_rng(seed).uniform(-3.0, 3.0, (100, 3))
     # Within one voxel and over several: max_distance sets the visible length.
-    errors = []
     for length in (0.3, 6.0):
         toward = unit_vectors(len(starts), seed)
         found = integrate(fog, starts, toward, extinction=depth, emission=fog, max_distance=length, device=device)
         true = -np.expm1(-depth * length) / depth
-        errors.append(np.abs(found.emission / true - 1.0))
-    total = np.concatenate(errors)
-    return Judgement(total, np.zeros(len(total), bool), np.concatenate([starts, starts]))
+        yield judged(found.emission / true - 1.0, False, starts)
 
 
 def _aimed(seed: int) -> tuple[Floats, Floats]:
@@ -203,5 +188,4 @@ def _hits(function: Field, cut: float, rays: tuple[Floats, Floats], device: Any)
     found = volume.raycast(*rays, device=device)
     missed = ~np.isfinite(found.t)
     points = rays[0] + np.where(missed, 0.0, found.t)[:, None] * rays[1]
-    errors = np.abs(np.linalg.norm(points - MIDDLE, axis=1) - RADIUS)
-    return Judgement(np.where(missed, 0.0, errors), missed, rays[0] + START * rays[1])
+    return judged(np.linalg.norm(points - MIDDLE, axis=1) - RADIUS, missed, rays[0] + START * rays[1])

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.accuracy.stability.fields import MIDDLE, ball, field, level_set, unit_vectors
-from geokit.accuracy.trials.model import Judgement, Sweeps
+from geokit.accuracy.stability.fields import MIDDLE, ball, field, joined, level_set, unit_vectors
+from geokit.accuracy.stability.mesh_questions import judged
+from geokit.accuracy.trials.model import Judgement, Sweeps, cases_of
 
 if TYPE_CHECKING:
     from geokit.volume.model.sparse_volume import SparseVolume
@@ -40,66 +42,31 @@ WITH_CODEC = 3.0
 TOLERANCE_RADIUS = 30.0
 
 
-class _Waves(NamedTuple):
-    """Promise of an order: ``error`` times the amplitude from ``last`` voxels a wavelength on."""
-
-    last: float
-    error: float
-    bound: str
-
-
 # For a wave number k, errors are at most k sqrt(3) / 2 for order 0, k^2 / 8 for order 1, and 0.0642 k^3 and 0.0469 k^3
 # for orders 2 and 3, the L1 norms of their Peano kernels: wavelengths of 54, 22, 11.7 and 10.5 voxels. (At order 3 long
 # waves have an error of 0.016 k^3.)
-WAVELENGTHS = {
-    0: _Waves(64.0, 0.1, "5.5 / wavelength"),
-    1: _Waves(24.0, 0.01, "5 / wavelength^2"),
-    2: _Waves(12.0, 0.01, "16 / wavelength^3"),
-    3: _Waves(12.0, 0.01, "12 / wavelength^3, long waves a third of that"),
-}
-
-
-class _Band(NamedTuple):
-    """Promise of an order in a band of half width 3: up to ``last`` voxels from the surface."""
-
-    last: float
-    error: float
-    statement: str
-
-
-BANDS = {
-    1: _Band(2.0, 0.05, "Up to half_width - 1 voxels from the surface order 1 is as accurate as in an unbounded field"),
-    2: _Band(
-        0.5, 0.004, "Up to half_width - 2.5 voxels from the surface order 2 is as accurate as in an unbounded field"
+@SWEEPS.add(
+    "volume.sample, order={order}",
+    "amplitudes",
+    "sample_order_{order}_wavelength",
+    "wavelength [voxels]",
+    (128.0, 64.0, 48.0, 24.0, 12.0, 8.0, 4.0, 2.0),
+    cases=cases_of(
+        "order last error bound",
+        (0, 64.0, 0.1, "5.5 / wavelength"),
+        (1, 24.0, 0.01, "5 / wavelength^2"),
+        (2, 12.0, 0.01, "16 / wavelength^3"),
+        (3, 12.0, 0.01, "12 / wavelength^3, long waves a third of that"),
     ),
-    3: _Band(
-        0.5, 0.001, "Up to half_width - 2.5 voxels from the surface order 3 is as accurate as in an unbounded field"
-    ),
-}
-
-
-class _Codec(NamedTuple):
-    """Radii in ascending order; up to ``last`` the codec's half step is at most twice the interpolation error."""
-
-    values: tuple[float, ...]
-    last: float
-    bits: int
-
-
-# Half a step is half_width / (2^bits - 1), which is twice 0.25 / radius where the radius is (2^bits - 1) / 6.
-CODECS = {
-    "fp4": _Codec((1.0, 2.0, 4.0, 16.0, 64.0), 2.0, 4),
-    "fp8": _Codec((2.0, 4.0, 8.0, 16.0, 64.0, 256.0), 16.0, 8),
-    "fp16": _Codec((2.0, 64.0, 1024.0, 4096.0, 16384.0, 65536.0), 4096.0, 16),
-}
-
-
-def waves(wavelength: float, *, order: int, seed: int = 0, device: Any = None) -> Judgement:
+    statement="Order {order} is off by at most {error:.0%} of the amplitude of waves that are {last:g} voxels long or "
+    "more ({bound}).",
+)
+@joined
+def waves(wavelength: float, *, order: int, seed: int = 0, device: Any = None) -> Iterator[Judgement]:
     """Plane waves of amplitude 1 at random points; the first along an axis, the second along a diagonal."""
     number = 2.0 * np.pi / wavelength
     directions = np.concatenate([[[1.0, 0.0, 0.0]], np.full((1, 3), 3.0**-0.5), unit_vectors(WAVES - 2, seed)])
     random = np.random.default_rng([seed, order])
-    errors, positions = [], []
     for direction in directions:
         phase = random.uniform(0.0, 2.0 * np.pi)
         points = random.uniform(-ASKED, ASKED, (1000, 3))
@@ -108,50 +75,41 @@ def waves(wavelength: float, *, order: int, seed: int = 0, device: Any = None) -
             return np.asarray(np.sin(number * (p @ d) + phase))
 
         found = field(wave, FIELD_REACH).sample(points, order=order, device=device)
-        errors.append(np.abs(found - wave(points)))
-        positions.append(points)
-    return _right(np.concatenate(errors), np.concatenate(positions))
+        yield judged(found - wave(points), False, points)
 
 
-for order, (last, error, bound) in WAVELENGTHS.items():
-    SWEEPS.add(
-        name=f"sample_order_{order}_wavelength",
-        method=f"volume.sample, order={order}",
-        parameter="wavelength [voxels]",
-        unit="amplitudes",
-        values=(128.0, 64.0, 48.0, 24.0, 12.0, 8.0, 4.0, 2.0),
-        last=last,
-        error=error,
-        statement=f"Order {order} is off by at most {error:.0%} of the amplitude of waves that are {last:g} voxels "
-        f"long or more ({bound}).",
-        case={"order": order},
-    )(waves)
-
-
+@SWEEPS.add(
+    "volume.sample, order={order}",
+    "voxels",
+    "sample_order_{order}_band",
+    "distance from the surface [voxels], band of half width 3",
+    (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0),
+    cases=cases_of("order last error margin", (1, 2.0, 0.05, 1.0), (2, 0.5, 0.004, 2.5), (3, 0.5, 0.001, 2.5)),
+    statement="Up to half_width - {margin:g} voxels from the surface order {order} is as accurate as in an unbounded "
+    f"field ({{error:g}} voxel on a sphere of {BAND_RADIUS:g} voxels). Beyond half_width the value is half_width, at "
+    "any distance from the surface.",
+    logarithmic=False,
+)
 def band_distances(distance: float, *, order: int, seed: int = 0, device: Any = None) -> Judgement:
     """Points at a distance from a sphere, inside and outside."""
     band = level_set(ball(BAND_RADIUS), BAND_RADIUS, HALF_WIDTH)
     signed = np.where(np.arange(4000) % 2, distance, -distance)
     points = MIDDLE + unit_vectors(4000, seed) * (BAND_RADIUS + signed)[:, None]
-    return _right(np.abs(band.sample(points, order=order, device=device) - signed), points)
+    return judged(band.sample(points, order=order, device=device) - signed, False, points)
 
 
-for order, (last, error, statement) in BANDS.items():
-    SWEEPS.add(
-        name=f"sample_order_{order}_band",
-        method=f"volume.sample, order={order}",
-        parameter="distance from the surface [voxels], band of half width 3",
-        unit="voxels",
-        values=(0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0),
-        last=last,
-        error=error,
-        statement=f"{statement} ({error:g} voxel on a sphere of {BAND_RADIUS:g} voxels). Beyond half_width the "
-        "value is half_width, at any distance from the surface.",
-        logarithmic=False,
-        case={"order": order},
-    )(band_distances)
-
-
+@SWEEPS.add(
+    "volume.sample, order={order}",
+    "voxels",
+    "sample_order_{order}_origin",
+    "distance of the grid from the origin [voxels]",
+    (1.0, 1e3, 1e6, 1e9, 1e12, 1e15),
+    cases=cases_of("order", (1,), (3,)),
+    last=1e9,
+    error=2e-6,
+    statement="Up to 1e9 voxels from the origin a value is that of a point at most 2e-6 voxel away: the error is that "
+    "of float64 coordinates, a few times 2^-53 of the distance.",
+)
 def far_values(distance: float, *, order: int, seed: int = 0, device: Any = None) -> Judgement:
     """A linear field on a grid far from the origin; errors are divided by its slope, which is nearly 1."""
     translation = distance * FAR_VOXEL * FAR_DIRECTION
@@ -162,24 +120,27 @@ def far_values(distance: float, *, order: int, seed: int = 0, device: Any = None
     local = np.random.default_rng(seed).integers(-limit, limit, (2000, 3)) * FRACTION
     points = local * FAR_VOXEL + translation
     found = grid.sample(points, order=order, device=device)
-    return _right(np.abs(found - local @ SLOPE) / np.linalg.norm(SLOPE), points)
+    return judged(np.abs(found - local @ SLOPE) / np.linalg.norm(SLOPE), False, points)
 
 
-for order in (1, 3):
-    SWEEPS.add(
-        name=f"sample_order_{order}_origin",
-        method=f"volume.sample, order={order}",
-        parameter="distance of the grid from the origin [voxels]",
-        unit="voxels",
-        values=(1.0, 1e3, 1e6, 1e9, 1e12, 1e15),
-        last=1e9,
-        error=2e-6,
-        statement="Up to 1e9 voxels from the origin a value is that of a point at most 2e-6 voxel away: the error is "
-        "that of float64 coordinates, a few times 2^-53 of the distance.",
-        case={"order": order},
-    )(far_values)
-
-
+# Half a step is half_width / (2^bits - 1), which is twice 0.25 / radius where the radius is (2^bits - 1) / 6. Up to
+# ``last`` it is at most twice the interpolation error.
+@SWEEPS.add(
+    "volume.quantize, {codec}",
+    "voxels",
+    "quantize_{codec}_curvature",
+    "radius of curvature [voxels], band of half width 3",
+    cases=cases_of(
+        "codec values last steps half_step",
+        ("fp4", (1.0, 2.0, 4.0, 16.0, 64.0), 2.0, 15, HALF_WIDTH / 15),
+        ("fp8", (2.0, 4.0, 8.0, 16.0, 64.0, 256.0), 16.0, 255, HALF_WIDTH / 255),
+        ("fp16", (2.0, 64.0, 1024.0, 4096.0, 16384.0, 65536.0), 4096.0, 65535, HALF_WIDTH / 65535),
+    ),
+    error=lambda radius: WITH_CODEC * INTERPOLATION / radius,
+    statement="{codec} is off by at most half_width / {steps}, {half_step:.2g} voxel of a band of half width 3, at any "
+    "curvature. Up to a radius of {last:g} voxels, sampling at order 1 then has at most three times its error without "
+    "quantization, 0.25 / radius.",
+)
 def quantized_distances(radius: float, *, codec: str, seed: int = 0, device: Any = None) -> Judgement:
     """Distances within half a voxel of a patch of a sphere, sampled from its quantized band at order 1."""
     from geokit.volume.retyped.quantize import quantize
@@ -193,31 +154,15 @@ def quantized_distances(radius: float, *, codec: str, seed: int = 0, device: Any
     toward /= np.linalg.norm(toward, axis=1, keepdims=True)
     height = random.uniform(-0.5, 0.5, 4000)
     points = center + toward * (radius + height)[:, None]
-    return _right(np.abs(small.sample(points, device=device) - height), points)
-
-
-for codec, (values, last, bits) in CODECS.items():
-    SWEEPS.add(
-        name=f"quantize_{codec}_curvature",
-        method=f"volume.quantize, {codec}",
-        parameter="radius of curvature [voxels], band of half width 3",
-        unit="voxels",
-        values=values,
-        last=last,
-        error=lambda radius: WITH_CODEC * INTERPOLATION / radius,
-        statement=f"{codec} is off by at most half_width / {2**bits - 1}, {HALF_WIDTH / (2**bits - 1):.2g} voxel of a "
-        f"band of half width 3, at any curvature. Up to a radius of {last:g} voxels, sampling at order 1 then has at "
-        "most three times its error without quantization, 0.25 / radius.",
-        case={"codec": codec},
-    )(quantized_distances)
+    return judged(small.sample(points, device=device) - height, False, points)
 
 
 @SWEEPS.add(
-    name="quantize_fpn_tolerance",
-    method="volume.quantize, fpn",
-    parameter="tolerance [voxels], band of half width 3",
-    unit="tolerances",
-    values=(0.3, 0.1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6),
+    "volume.quantize, fpn",
+    "tolerances",
+    "quantize_fpn_tolerance",
+    "tolerance [voxels], band of half width 3",
+    (0.3, 0.1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6),
     last=1e-4,
     error=1.0,
     statement="A tolerance is met or refused: in a band of half width 3, fpn meets 1e-4 voxel and more, and "
@@ -231,7 +176,7 @@ def kept_tolerances(tolerance: float, *, seed: int = 0, device: Any = None) -> J
     voxels = np.random.default_rng(seed).integers(-FIELD_REACH, FIELD_REACH + 1, (4000, 3)).astype(float)
     small = quantize(patch, "fpn", tolerance=tolerance)
     before, after = (grid.sample(voxels, order=0, device=device) for grid in (patch, small))
-    return _right(np.abs(after - before) / tolerance, voxels)
+    return judged(np.abs(after - before) / tolerance, False, voxels)
 
 
 def _patch(radius: float, seed: int) -> tuple[SparseVolume, Floats, Floats]:
@@ -244,7 +189,3 @@ def _patch(radius: float, seed: int) -> tuple[SparseVolume, Floats, Floats]:
         background=HALF_WIDTH,
     )
     return patch, direction, center
-
-
-def _right(errors: Floats, points: Floats) -> Judgement:
-    return Judgement(errors, np.zeros(len(errors), bool), points)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
+from inspect import signature
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
     from geokit.mesh.model.triangle_mesh import TriangleMesh
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["Chart", "Envelope", "Judgement", "Measurement", "Subject", "Sweep", "Sweeps", "Trial"]
+__all__ = ["Chart", "Envelope", "Judgement", "Measurement", "Subject", "Sweep", "Sweeps", "Trial", "cases_of"]
 
 
 class Subject(NamedTuple):
@@ -173,6 +174,11 @@ class Sweep:
     logarithmic: bool = True
 
 
+def cases_of(names: str, *rows: tuple[Any, ...]) -> list[dict[str, Any]]:
+    """Cases for :meth:`Sweeps.add`: the names of a table's columns, and its rows."""
+    return [dict(zip(names.split(), row, strict=True)) for row in rows]
+
+
 class Sweeps:
     """The sweeps of a module, in the order in which they are added."""
 
@@ -185,32 +191,37 @@ class Sweeps:
 
     def add(
         self,
-        name: str,
         method: str,
-        parameter: str,
         unit: str,
-        values: tuple[float, ...],
+        name: str,
+        parameter: str,
+        values: tuple[float, ...] = (),
+        /,
         *,
-        last: float | Callable[[Any], float],
-        error: float | Callable[[float], float],
-        statement: str,
+        cases: Iterable[Mapping[str, Any]] = ({},),
+        error: float | Callable[[float], float] = 0.0,
         wrong_share: float = 0.0,
         logarithmic: bool = True,
-        case: Mapping[str, Any] = MappingProxyType({}),
+        **promise: Any,
     ) -> Callable[[Callable[..., Judgement]], Callable[..., Judgement]]:
-        """Decorator of the function that asks at a value, with keywords ``seed``, ``device`` and those of ``case``.
+        """Decorator of the function that asks at a value, with keywords ``seed`` and ``device``.
 
-        The arguments are those of :class:`Sweep` and :class:`Envelope`; ``last`` may depend on the device. Most
-        envelopes promise that no answer is wrong.
+        The arguments are those of :class:`Sweep` and :class:`Envelope`; ``last`` may depend on the device. Each case is
+        a sweep: what the function takes besides, what texts name in braces, and arguments that differ from the others.
         """
+        shared = {"values": values, "error": error, "wrong_share": wrong_share, "logarithmic": logarithmic, **promise}
 
         def note(ask: Callable[..., Judgement]) -> Callable[..., Judgement]:
-            def make(device: Any) -> Sweep:
-                envelope = Envelope(last(device) if callable(last) else last, error, wrong_share, statement)
-                asked = partial(ask, device=device, **case)
-                return Sweep(name, method, parameter, unit, values, asked, envelope, logarithmic)
+            def make(case: Mapping[str, Any], device: Any) -> Sweep:
+                facts = {**shared, **case}
+                last, statement = facts["last"], facts["statement"].format(**facts)
+                last = last(device) if callable(last) else last
+                envelope = Envelope(last, facts["error"], facts["wrong_share"], statement)
+                taken = {key: value for key, value in case.items() if key in signature(ask).parameters}
+                asked, told = partial(ask, device=device, **taken), (name.format(**facts), method.format(**facts))
+                return Sweep(*told, parameter, unit, facts["values"], asked, envelope, facts["logarithmic"])
 
-            self._makers.append(make)
+            self._makers += [partial(make, case) for case in cases]
             return ask
 
         return note

@@ -23,11 +23,13 @@ from numpy.typing import NDArray
 from geokit._warn import warn
 from geokit.core.files import in_one_line, named_damage
 from geokit.errors import FileFormatError, InputError
+from geokit.formats.file_content.references import allowed_folders, require_inside
 from geokit.formats.reader.warnings import warn_of
 
 __all__ = [
-    "LARGEST_COSINE", "METERS", "Image", "affine", "fitting_codec", "grids_of", "in_space", "in_unit", "left_out_keys",
-    "note_of", "noted", "one_unit", "reading", "require_straight", "require_three", "scaled", "stored_type",
+    "LARGEST_COSINE", "METERS", "Image", "affine", "file_beside", "fitting_codec", "grids_of", "in_space", "in_unit",
+    "left_out_keys", "note_of", "noted", "one_unit", "reading", "require_straight", "require_three", "scaled",
+    "stored_type",
 ]  # fmt: skip
 
 # Lengths of the units that files name.
@@ -64,7 +66,7 @@ class Image:
     shape: tuple[int, int, int]
     dtype: np.dtype[Any]
     transform: NDArray[np.float64]
-    slabs: Callable[[], Iterator[NDArray[Any]]]
+    slabs: Callable[[], Iterator[NDArray[Any]]] = lambda: iter(())
     axis: int = 2
     components: int = 1
     name: str = ""
@@ -78,6 +80,11 @@ class Image:
     def byte_count(self) -> int:
         """Size of the voxels."""
         return int(np.prod(self.shape, dtype=object)) * self.components * self.dtype.itemsize
+
+    def write_to(self, file: Any, dtype: np.dtype[Any]) -> None:
+        """Write the voxels as another type, x fastest after the components."""
+        for slab in self.slabs():
+            file.write(np.ascontiguousarray(slab.transpose(2, 1, 0, *range(3, slab.ndim)), dtype).data)
 
 
 @contextlib.contextmanager
@@ -108,6 +115,16 @@ def grids_of(path: Path, image: Image, count: int, slabs: Callable[[int], Iterat
         replace(image, name=str(at) if count > 1 else image.name, slabs=functools.partial(slabs, at))
         for at in range(count)
     ]
+
+
+def file_beside(path: Path, name: str) -> Path:
+    """The file with the voxels that a header names, in the same folder."""
+    if "%" in name or name.split()[:1] == ["LIST"]:
+        raise FileFormatError(f"{path}: has its voxels in several files; join them to one file")
+    data = require_inside(name, path.parent / name, path, allowed_folders(None))
+    if not data.is_file():
+        raise FileFormatError(f"{path}: refers to {name!r}, which is missing; put it beside the file")
+    return data
 
 
 def affine(columns: Any, origin: Any) -> NDArray[np.float64]:

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from geokit.core.files import atomic_path, is_there
 from geokit.errors import FileAccessError, FileFormatError
-from geokit.formats.file_content.references import allowed_folders, require_inside
 from geokit.formats.images.image import (
     Image,
     affine,
+    file_beside,
     fitting_codec,
     grids_of,
     in_space,
@@ -100,7 +100,6 @@ def open_images(path: Path, limit: int) -> list[Image]:
         shape=shape[:3],
         dtype=dtype,
         transform=affine(columns * spacing, origin),
-        slabs=lambda: iter(()),
         components=components,
         unit=str(note.get("unit", "")) or one_unit(path, [told])[1],
         space=str(note.get("space", "LPS")),
@@ -141,13 +140,7 @@ def _first(values: NDArray[np.float64] | None, missing: float) -> NDArray[np.flo
 def _data(found: dict[str, str], path: Path, at: int, size: int, zipped: bool) -> tuple[Path, int]:
     """The file with the voxels, and where they begin in it."""
     name = found["elementdatafile"]
-    data, offset = path, at
-    if name.upper() != "LOCAL":
-        if "%" in name or name.split()[:1] == ["LIST"]:
-            raise FileFormatError(f"{path}: has its voxels in several files; join them to one file")
-        data, offset = require_inside(name, path.parent / name, path, allowed_folders(None)), 0
-        if not data.is_file():
-            raise FileFormatError(f"{path}: refers to {name!r}, which is missing; put it beside the file")
+    data, offset = (path, at) if name.upper() == "LOCAL" else (file_beside(path, name), 0)
     header = int(found.get("headersize", "0"))
     if header == -1 and not zipped:
         return data, max(0, data.stat().st_size - size)
@@ -213,8 +206,7 @@ def write_image(path: Path, image: Image, codec: str | None, *, stem: Path | Non
     def put(file: Any) -> int:
         begin = file.tell()
         with packed_writer(file, "zlib" if zipped else "") as stream:
-            for slab in image.slabs():
-                stream.write(np.ascontiguousarray(slab.transpose(2, 1, 0, *range(3, slab.ndim)), dtype).data)
+            image.write_to(stream, dtype)
         return int(file.tell() - begin)
 
     with open(path, "wb") as file:

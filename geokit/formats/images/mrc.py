@@ -93,7 +93,6 @@ def open_images(path: Path, limit: int) -> list[Image]:
         shape=(x, y, z),
         dtype=dtype,
         transform=affine(columns, origin),
-        slabs=lambda: iter(()),
         axis=axes[2],
         unit="angstrom",
         note=note_of(labels),

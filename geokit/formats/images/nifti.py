@@ -113,7 +113,6 @@ def open_images(path: Path, limit: int) -> list[Image]:
         shape=shape,
         dtype=stored if (factor, term) == (1.0, 0.0) else np.dtype(np.float64),
         transform=matrix,
-        slabs=lambda: iter(()),
         components=max(colors, vectors),
         unit=unit,
         space=str(note.get("space", "RAS" if turned else "")),

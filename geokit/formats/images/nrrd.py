@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from geokit._packages import require_package
 from geokit.errors import FileFormatError
-from geokit.formats.file_content.references import allowed_folders, require_inside
 from geokit.formats.images.image import (
     Image,
     affine,
+    file_beside,
     fitting_codec,
     grids_of,
     left_out_keys,
@@ -109,7 +109,6 @@ def open_images(path: Path, limit: int) -> list[Image]:
         shape=shape,
         dtype=dtype,
         transform=matrix,
-        slabs=lambda: iter(()),
         components=components,
         unit=unit,
         space=space,
@@ -189,14 +188,7 @@ def _space(header: Any) -> str:
 def _data(header: Any, path: Path, offset: int, packing: str, need: int) -> tuple[Path, int, int]:
     """The file with the voxels, where they begin in it, and how much of its decompressed content to skip."""
     named = header.get("data file", header.get("datafile"))
-    data = path
-    if named is not None:
-        name = str(named)
-        if "%" in name or name.split()[:1] == ["LIST"]:
-            raise FileFormatError(f"{path}: has its voxels in several files; join them to one file")
-        data, offset = require_inside(name, path.parent / name, path, allowed_folders(None)), 0
-        if not data.is_file():
-            raise FileFormatError(f"{path}: refers to {name!r}, which is missing; put it beside the file")
+    data, offset = (path, offset) if named is None else (file_beside(path, str(named)), 0)
     lines, skip = (int(header.get(f"{what} skip", header.get(f"{what}skip", 0))) for what in ("line", "byte"))
     if lines:
         with open(data, "rb") as file:
@@ -237,5 +229,4 @@ def write_image(path: Path, image: Image, codec: str | None) -> None:
     with open(path, "wb") as file:
         file.write(("\n".join(lines) + "\n\n").encode("ascii"))
         with packed_writer(file, packing) as stream:
-            for slab in image.slabs():
-                stream.write(np.ascontiguousarray(slab.transpose(2, 1, 0, *range(3, slab.ndim)), dtype).data)
+            image.write_to(stream, dtype)

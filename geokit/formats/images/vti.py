@@ -158,6 +158,5 @@ def write_image(path: Path, image: Image, codec: str | None) -> None:
     with open(path, "wb") as file:
         size = int(np.prod(image.shape, dtype=object)) * image.components * dtype.itemsize
         file.write(head.encode() + size.to_bytes(8, "little"))
-        for slab in image.slabs():
-            file.write(np.ascontiguousarray(slab.transpose(2, 1, 0, *range(3, slab.ndim)), dtype).data)
+        image.write_to(file, dtype)
         file.write(b"\n</AppendedData>\n</VTKFile>\n")

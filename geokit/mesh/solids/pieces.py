@@ -84,10 +84,10 @@ class Solid(NamedTuple):
     rows: NDArray[np.int64]
 
 
-def solid_of(bodies: Bodies, rows: NDArray[np.int64], positions: NDArray[np.float64], begin: int = 0) -> Solid:
-    """Some faces of bodies, their vertices at these positions; ``begin`` is added to the numbers of the faces."""
+def solid_of(bodies: Bodies, rows: NDArray[np.int64], positions: NDArray[np.float64]) -> Solid:
+    """Some faces of bodies, their vertices at these positions."""
     used, corners = used_vertices(bodies.corners[rows], len(positions))
-    return Solid(positions[used], corners, rows + begin)
+    return Solid(positions[used], corners, rows)
 
 
 def combined(solids: Sequence[Solid], verb: Verb) -> Pieces | None:

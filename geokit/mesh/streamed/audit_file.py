@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +17,10 @@ from geokit.core.files import require_room
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_path
 from geokit.formats.blocks.boxes import Boxes
-from geokit.formats.blocks.records import AT_A_TIME, BYTES_AT_A_TIME, work_folder
+from geokit.formats.blocks.records import AT_A_TIME, BYTES_AT_A_TIME, Buckets, Known, survey, work_folder
 from geokit.formats.blocks.triangles import TriangleFile, open_triangles
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.streamed.order_statistics import OrderStatistics
-from geokit.mesh.streamed.tiles import Tiles, survey_triangles
 from geokit.mesh.topology.audit import (
     ASPECT_QUANTILES,
     MeshAudit,
@@ -34,6 +34,9 @@ from geokit.mesh.topology.doubled_faces import back_to_back_pairs
 from geokit.mesh.topology.measures import measure_faces
 
 __all__ = ["audit_file"]
+
+# Triangles that stand for all where these are divided.
+SAMPLE_SIZE = 1 << 16
 
 # Memory for each triangle of a part.
 BYTES_PER_TRIANGLE = 700
@@ -216,3 +219,58 @@ class _Sums:
             aspect_ratio_quantiles=self._aspects.at(ranks),
             self_intersection_count=None,
         )
+
+
+def survey_triangles(source: TriangleFile) -> Known:
+    """What one pass over the corners of all triangles tells; the sample has first corners."""
+    none: dict[str, NDArray[Any]] = {}
+    corners = ((block.reshape(-1, 3), none) for block in source.blocks(AT_A_TIME))
+    return survey(corners, 3 * max(1, source.count // SAMPLE_SIZE))
+
+
+class Tiles:
+    """The files of the boxes.
+
+    Args:
+        boxes: Where corners belong.
+        folder: Where the files are made.
+        dtype: Type of the coordinates.
+    """
+
+    def __init__(self, boxes: Boxes, folder: Path, dtype: np.dtype[Any]) -> None:
+        self._boxes = boxes
+        # A triangle in several files has a number there, else -1.
+        self._record = np.dtype([("corners", dtype, (3, 3)), ("shared", np.int64)])
+        self._buckets = Buckets(folder / "tile", self._record, boxes.count)
+        self.shared_count = 0
+
+    @property
+    def count(self) -> int:
+        """Number of boxes."""
+        return self._boxes.count
+
+    def of(self, points: NDArray[np.float64]) -> NDArray[np.int64]:
+        """The box of each point (N, 3)."""
+        return self._boxes.of(points)
+
+    def add(self, blocks: Iterable[NDArray[Any]]) -> Iterator[int]:
+        """Sort triangles (N, 3, 3) into the files; yields how many were sorted."""
+        for block in blocks:
+            box = self.of(block.reshape(-1, 3).astype(np.float64)).reshape(-1, 3)
+            records = np.empty(len(block), self._record)
+            records["corners"], records["shared"] = block, -1
+            shared = np.flatnonzero((box != box[:, :1]).any(axis=1))
+            records["shared"][shared] = self.shared_count + np.arange(len(shared))
+            self.shared_count += len(shared)
+            # Each triangle once in each box.
+            new = np.ones((len(box), 3), bool)
+            new[:, 1] = box[:, 1] != box[:, 0]
+            new[:, 2] = (box[:, 2] != box[:, 0]) & (box[:, 2] != box[:, 1])
+            row, column = np.nonzero(new)
+            self._buckets.add(records, box[row, column], row)
+            yield len(block)
+
+    def take(self, box: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Corners (N, 3, 3) of a box's triangles, and the numbers of shared ones (N,); its file is removed."""
+        records = self._buckets.file(box).take()
+        return records["corners"].astype(np.float64), records["shared"].copy()

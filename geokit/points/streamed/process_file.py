@@ -6,12 +6,13 @@ import functools
 import inspect
 import itertools
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geokit.core import launcher
 from geokit.core.base.private_folder import private_folder
@@ -24,15 +25,13 @@ from geokit.core.memory.needs import needs
 from geokit.core.require import require_flag, require_mapping, require_path
 from geokit.errors import InputError
 from geokit.formats.blocks.points import KINDS, Block, PointFile, PointFileWriter, open_points
-from geokit.formats.blocks.records import AT_A_TIME, BYTES_AT_A_TIME, Known
-from geokit.formats.blocks.workers import in_turn, task_memory
+from geokit.formats.blocks.records import AT_A_TIME, BYTES_AT_A_TIME, Buckets, Known
+from geokit.formats.blocks.workers import Done, in_turn, task_memory
 from geokit.formats.columns import Columns
 from geokit.points._density import density as density_of
 from geokit.points._normals import normals as normals_of
-from geokit.points.streamed.answers import TileAnswers
 from geokit.points.streamed.columns import Density, Normals
 from geokit.points.streamed.records import blocks_of, known_of, type_of
-from geokit.points.streamed.results import Results
 from geokit.points.streamed.tiles import MOST_POINTS, OWN_SHARE, ROW, Tiles
 from geokit.points.streamed.voxels import Voxels
 
@@ -252,3 +251,71 @@ def _arguments(given: Any, name: str, function: Callable[..., Any], left_out: tu
         if key not in known:
             raise InputError(f"{name}: {key!r} is none of its arguments; use {', '.join(known)}")
     return options
+
+
+class TileAnswers:
+    """Arrays by tile.
+
+    Args:
+        tiles: The points.
+        parts: What is asked of them.
+        data: The arrays without rows.
+    """
+
+    def __init__(self, tiles: Tiles, parts: Sequence[Normals | Density], data: Columns) -> None:
+        self._tiles, self._parts = tiles, parts
+        fields = [(name, values.dtype, values.shape[1:]) for name, values in data.items()]
+        self.dtype = np.dtype([("row", np.int64), *fields])
+
+    def make(self, number: int, _: Path) -> Done:
+        """The arrays of a tile's points, by row."""
+        own = self._tiles.own(number)
+        records = np.empty(len(own), self.dtype)
+        records["row"] = own["row"]
+        for part in self._parts:
+            for rows, found in part.of(self._tiles, own):
+                places = np.searchsorted(own["row"], rows)
+                for name, values in found.items():
+                    records[name][places] = values
+        return Done(records)
+
+
+class Results:
+    """Arrays of points by row.
+
+    Args:
+        dtype: Type of the records: "row", and a field for each array.
+        folder: Where the files are made.
+        memory: Bytes that may be taken.
+        count: Number of points.
+    """
+
+    def __init__(self, dtype: np.dtype[Any], folder: Path, memory: int, count: int) -> None:
+        self._dtype = dtype
+        # The rows of a file, twice while they are put in order.
+        self._rows = max(memory // (2 * dtype.itemsize), 1)
+        self._buckets = Buckets(folder / "results", dtype, -(-count // self._rows))
+        self._held, self._first = np.empty(0, dtype), 0
+
+    def add(self, records: NDArray[Any]) -> None:
+        """Keep arrays of some points."""
+        self._buckets.add(records, records["row"] // self._rows)
+
+    def take(self, count: int) -> Columns:
+        """The arrays of the next points."""
+        found = []
+        while count:
+            if not len(self._held):
+                self._held = self._next()
+            found.append(self._held[:count])
+            self._held = self._held[count:]
+            count -= len(found[-1])
+        whole = np.concatenate([np.empty(0, self._dtype), *found])
+        return {name: whole[name] for name in self._dtype.names or () if name != "row"}
+
+    def _next(self) -> NDArray[np.void]:
+        records = self._buckets.file(self._first // self._rows).take()
+        whole = np.empty_like(records)
+        whole[records["row"] - self._first] = records
+        self._first += len(records)
+        return whole

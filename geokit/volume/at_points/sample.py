@@ -113,12 +113,7 @@ def sample(
 
     from geokit.volume.sampling.kernel_table import query_kernel
 
-    require_volume(volume, "volume")
-    order = require_order((volume.info.order or 1) if order is None else order)
-    require_space(space)
-    volume = _valued(volume, channel)
-    components = _require_components(volume)
-    target = launcher.resolve_device(device)
+    volume, order, components, target = _checked(volume, order, space, channel, device)
     if order == 1 and (answer := sample_linear(volume, points, space, target)) is not None:
         return answer
     batch = read_vectors(points, "points", target, single=True)
@@ -188,12 +183,7 @@ def gradient(
 
     from geokit.volume.sampling.kernel_table import query_kernel
 
-    require_volume(volume, "volume")
-    order = require_order((volume.info.order or 1) if order is None else order)
-    require_space(space)
-    volume = _valued(volume, channel)
-    components = _require_components(volume)
-    target = launcher.resolve_device(device)
+    volume, order, components, target = _checked(volume, order, space, channel, device)
     if order == 1 and (answer := gradient_linear(volume, points, space, target)) is not None:
         return answer
     batch = read_vectors(points, "points", target, single=True)
@@ -204,6 +194,15 @@ def gradient(
     inputs = [*query_inputs(volume, batch.array, space), zero, *more]
     launcher.launch(kernel, count, inputs, [out], target)
     return batch.to_caller(view_as(out, wp.vec3d, (count,)) if components == 1 else out)
+
+
+def _checked(volume: Any, order: Any, space: Any, channel: Any, device: Any) -> tuple[SparseVolume, int, int, Any]:
+    """The volume whose values are asked for, the order, the number of components, and the device."""
+    require_volume(volume, "volume")
+    order = require_order((volume.info.order or 1) if order is None else order)
+    require_space(space)
+    volume = _valued(volume, channel)
+    return volume, order, _require_components(volume), launcher.resolve_device(device)
 
 
 def is_scalar(volume: SparseVolume) -> bool:

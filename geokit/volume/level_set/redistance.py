@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +19,7 @@ from geokit.volume.nanovdb.layout import LAYOUTS
 from geokit.volume.tree.device_leaves import leaf_keys
 from geokit.volume.tree.device_writer import BuiltGrid, Leaves, build_on_device
 from geokit.volume.tree.estimates import least_leaves
-from geokit.volume.tree.grid_head import checked_head, result_head, volume_from_buffer
+from geokit.volume.tree.grid_head import checked_head, info_like, result_head, volume_from_buffer
 from geokit.volume.tree.leaves import build_real_grid
 
 if TYPE_CHECKING:
@@ -327,10 +325,4 @@ def _double_volume(
 def _volume_from_built(grid: BuiltGrid, like: SparseVolume) -> SparseVolume:
     if grid.host is not None:
         return volume_from_buffer(grid.host, like)
-    info = info_of(grid.head, byte_count=grid.size)
-    metadata = dict(like.info.metadata)
-    # volume_from_buffer does the same for grids on the host.
-    metadata.pop("geokit:value_type", None)
-    if info.grid_type != like.info.grid_type:
-        metadata.pop("class", None)
-    return made_on_device(grid.buffer, replace(info, metadata=MappingProxyType(metadata)))
+    return made_on_device(grid.buffer, info_like(info_of(grid.head, byte_count=grid.size), like))

@@ -106,8 +106,6 @@ def build_on_device(
     head: GridHead,
     write_leaves: Callable[["wp.array", int], None],
     inside: "wp.array | None" = None,
-    *,
-    seal: bool = True,
 ) -> BuiltGrid:
     """Build a grid from leaves whose values are written by a function.
 
@@ -118,7 +116,6 @@ def build_on_device(
             on, 2144 bytes apart, and the mask of its active voxels from byte 16 on.
         inside: Bits of the voxels that lie inside, (L, 8) of uint64: empty regions next to such voxels take
             ``head.inside`` instead of the background.
-        seal: Whether to write the checksum of headers and root.
     Raises:
         InputError: The leaves are too far apart.
     """
@@ -135,8 +132,7 @@ def build_on_device(
     # Nothing has waited for the device so far, and most grids need no wait before the head is written.
     start = write_head(head, places, faces.numpy() if places.gaps else np.zeros(upper.count, np.uint8))
     write_root(start, head, boxes.numpy().reshape(-1, 2, 3), extrema.numpy().view(head.word).reshape(-1, 2), active())
-    if seal:
-        start[8:16].view("<u8")[0] = partial_checksum(start[:HEAD_SIZE], start)
+    start[8:16].view("<u8")[0] = partial_checksum(start[:HEAD_SIZE], start)
     _put(buffer, host, start)
     return BuiltGrid(buffer, start, host)
 

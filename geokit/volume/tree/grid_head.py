@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from geokit.errors import InputError
 from geokit.volume.model.sparse_volume import SparseVolume
+from geokit.volume.nanovdb.grid_info import GridInfo
 from geokit.volume.nanovdb.header import (
     FLAG_LONG_NAME,
     GRID_DATA,
@@ -40,6 +41,7 @@ __all__ = [
     "Places",
     "checked_head",
     "head_like",
+    "info_like",
     "places_of",
     "result_head",
     "volume_from_buffer",
@@ -148,15 +150,20 @@ def result_head(
 def volume_from_buffer(buffer: NDArray[np.uint8], like: SparseVolume) -> SparseVolume:
     """Wrap an operation's buffer as a volume with the metadata of the operation's first operand."""
     buffer.setflags(write=False)
-    info = info_of(buffer)
+    info = info_like(info_of(buffer), like)
+    grid_class = str(info.metadata.get("class", info.grid_class))
+    return SparseVolume(buffer, replace(info, grid_class=grid_class))
+
+
+def info_like(info: GridInfo, like: SparseVolume) -> GridInfo:
+    """The description of an operation's grid, with the metadata of its first operand."""
     metadata = dict(like.info.metadata)
     # Results of operations are not integers, so the mark of an integer type is dropped.
     metadata.pop("geokit:value_type", None)
     # A class that NanoVDB does not allow for the type is kept as metadata; it does not apply to another type.
     if info.grid_type != like.info.grid_type:
         metadata.pop("class", None)
-    grid_class = str(metadata.get("class", info.grid_class))
-    return SparseVolume(buffer, replace(info, grid_class=grid_class, metadata=MappingProxyType(metadata)))
+    return replace(info, metadata=MappingProxyType(metadata))
 
 
 def places_of(layout: GridLayout, leaves: int, lowers: int, uppers: NDArray[np.int64], *, fill_gaps: bool) -> Places:

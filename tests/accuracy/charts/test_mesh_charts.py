@@ -13,7 +13,7 @@ import warp as wp
 from benchmarks.catalog import mesh_catalog
 from geokit.accuracy.charts import first_hit, mesh_setup
 from geokit.accuracy.charts import sign as chart_sign
-from geokit.accuracy.charts.mesh import mesh_charts
+from geokit.accuracy.charts.makers import mesh_charts
 from geokit.accuracy.charts.mesh_setup import MeshSetup
 from geokit.accuracy.reference import mesh as reference
 from geokit.accuracy.trials.held_bytes import held_bytes

@@ -9,8 +9,8 @@ import pytest
 import warp as wp
 
 from geokit.accuracy.charts import downsample, point_normals, points_setup
+from geokit.accuracy.charts.makers import points_charts
 from geokit.accuracy.charts.point_normals import MAJOR, MINOR, torus_cloud
-from geokit.accuracy.charts.points import points_charts
 from geokit.accuracy.charts.points_setup import PointsSetup
 from geokit.accuracy.reference import mesh as reference
 from geokit.accuracy.trials.model import Chart, Subject, Trial

@@ -9,10 +9,11 @@ from benchmarks.catalog.sphere_volumes import ROTATED, sphere
 from benchmarks.catalog.typed_grids import TypedGrid
 from geokit.accuracy.charts import sampling
 from geokit.accuracy.charts.gradients import REACH
-from geokit.accuracy.charts.volume import mesh_volume_charts, volume_charts
+from geokit.accuracy.charts.makers import mesh_volume_charts, volume_charts
+from geokit.accuracy.charts.mesh_setup import area_samples
 from geokit.accuracy.charts.volume_points import VolumePoints
 from geokit.accuracy.charts.volume_raycast import _judge, _Rays, _reference
-from geokit.accuracy.charts.volume_setup import Effort, NearSurface, area_samples, known_codecs, surface_samples
+from geokit.accuracy.charts.volume_setup import Effort, NearSurface, known_codecs, surface_samples
 from geokit.accuracy.reference.volume import (
     Voxels,
     axis_weights,
@@ -21,13 +22,14 @@ from geokit.accuracy.reference.volume import (
     interpolant_gradient,
     nearest_to_level,
 )
-from geokit.accuracy.stability.shapes import box, box_distance, icosphere, moved, sphere_distance, without_cap
+from geokit.accuracy.stability.shapes import box, icosphere, moved, sphere_distance, without_cap
 from geokit.accuracy.trials.model import Subject
 from geokit.accuracy.trials.running import angles
 from geokit.errors import InputError, UnsupportedGridError
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.volume._dense import from_dense
 from geokit.volume.distance_fields.from_mesh import from_mesh
+from tests.support.reference import box_distance
 
 LOWER, UPPER = (-1.0, -0.7, -0.4), (0.8, 0.6, 0.5)
 SMALL = Effort(queries=500, rays=200, checked=120, checked_rays=24, divisions=(12, 30))

@@ -14,12 +14,12 @@ import pytest
 from geokit import mesh
 from geokit.accuracy.reference import mesh as reference
 from geokit.accuracy.stability import shapes
-from geokit.accuracy.stability.follow_sweeps import inside, promised
-from geokit.accuracy.stability.mesh import mesh_sweeps
+from geokit.accuracy.stability.follow_sweeps import inside, promised, sweeps_of
 from geokit.accuracy.stability.mesh_questions import around_and_near, judged, powers, turned
 from geokit.mesh.surfaces.surface import Surface
+from tests.support.reference import box_distance
 
-SWEEPS = mesh_sweeps("cpu")
+SWEEPS = sweeps_of("mesh", "cpu")
 # Factor by which values of other seeds may exceed those of the tested ones.
 ROOM = 4.0
 # The promise of these is set by the caller or by the question: no margin is needed.
@@ -146,7 +146,7 @@ def test_distance_to_a_box_is_that_of_its_triangles():
     shape = shapes.box(tuple(lower), tuple(upper))
     points = around_and_near(shape, 400, 5)
     expected = reference.signed_distance(shape.vertices, shape.faces, points)
-    np.testing.assert_allclose(shapes.box_distance(points, lower, upper), expected, atol=1e-14)
+    np.testing.assert_allclose(box_distance(points, lower, upper), expected, atol=1e-14)
 
 
 def test_rotations_turn_meshes_and_points_alike():

@@ -10,11 +10,11 @@ import pytest
 
 from geokit.accuracy.stability import points_search as search
 from geokit.accuracy.stability import points_shape as shape
-from geokit.accuracy.stability.points import points_sweeps
+from geokit.accuracy.stability.follow_sweeps import sweeps_of
 from geokit.errors import InputError
 from geokit.points import NeighborGrid
 
-SWEEPS = {sweep.name: sweep for sweep in points_sweeps("cpu")}
+SWEEPS = {sweep.name: sweep for sweep in sweeps_of("points", "cpu")}
 NO_FAILURE = "no failure found"
 SEARCHES = [
     lambda: search.radii(2.0, device="cpu"),
@@ -26,7 +26,7 @@ SEARCH_NAMES = ["radii", "crowds", "extents", "duplicates"]
 
 
 def test_names():
-    assert len(SWEEPS) == len(points_sweeps("cpu"))
+    assert len(SWEEPS) == len(sweeps_of("points", "cpu"))
     assert all(re.fullmatch(r"[a-z][a-z0-9_]*", name) for name in SWEEPS)
 
 

@@ -14,26 +14,26 @@ from geokit.accuracy.stability import volume_change as change
 from geokit.accuracy.stability import volume_mesh as meshes
 from geokit.accuracy.stability import volume_rays as rays
 from geokit.accuracy.stability import volume_sample as samples
-from geokit.accuracy.stability.volume import volume_sweeps
+from geokit.accuracy.stability.follow_sweeps import sweeps_of
 from geokit.errors import InputError
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.volume.model.sparse_volume import SparseVolume
 
-SWEEPS = {sweep.name: sweep for sweep in volume_sweeps("cpu")}
+SWEEPS = {sweep.name: sweep for sweep in sweeps_of("volume", "cpu")}
 NO_FAILURE = "no failure found"
 # Of these the first values are asked in other tests here, or they take longer than the rest together.
 ASKED = [name for name in SWEEPS if not name.startswith(("renormalize", "smooth", "offset")) and "thin" not in name]
 
 
 def test_names():
-    assert len(SWEEPS) == len(volume_sweeps("cpu"))
+    assert len(SWEEPS) == len(sweeps_of("volume", "cpu"))
     assert all(re.fullmatch(r"[a-z][a-z0-9_]*", name) for name in SWEEPS)
     assert ("smooth_gaussian_radius" in SWEEPS) == native.available()
 
 
 def test_without_openvdb_there_is_no_smoothing(monkeypatch):
     monkeypatch.setattr(native, "available", lambda: False)
-    assert {sweep.name for sweep in volume_sweeps("cpu")} == set(SWEEPS) - {"smooth_gaussian_radius"}
+    assert {sweep.name for sweep in sweeps_of("volume", "cpu")} == set(SWEEPS) - {"smooth_gaussian_radius"}
 
 
 @pytest.mark.parametrize("name", SWEEPS)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from geokit.accuracy import Chart, Judgement, Measurement, Trial, front, knee, measure, read_table, write_table
-from geokit.accuracy.report.choice import choices
+from geokit.accuracy.report.html import choices
 from geokit.accuracy.report.pareto import front_of, tolerance_steps
 from geokit.accuracy.report.table import COLUMNS
 from geokit.accuracy.trials.peak_memory import peak_bytes

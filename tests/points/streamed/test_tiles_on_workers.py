@@ -15,7 +15,7 @@ import pytest
 
 import geokit as gk
 from geokit import InputError, WorkerError
-from geokit.points.streamed import answers, process_file
+from geokit.points.streamed import process_file
 from tests.support.dask_cluster import cluster_client
 from tests.support.effort import of_all
 
@@ -58,8 +58,10 @@ def test_the_file_has_the_same_bytes(
 ) -> None:
     done: list[int] = []
     tiles: list[int] = []
-    make = answers.TileAnswers.make
-    monkeypatch.setattr(answers.TileAnswers, "make", lambda self, at, where: tiles.append(at) or make(self, at, where))
+    make = process_file.TileAnswers.make
+    monkeypatch.setattr(
+        process_file.TileAnswers, "make", lambda self, at, where: tiles.append(at) or make(self, at, where)
+    )
     with pool(2) as executor:
         found = processed(scan, executor, progress=lambda at, of: done.append(at), **how)
     assert found == processed(scan, **how)
@@ -76,7 +78,7 @@ def test_dask_s_client_is_one(scan: Path) -> None:
 
 @pytest.mark.slow
 def test_a_worker_that_dies_is_named_and_nothing_is_left(scan: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(answers.TileAnswers, "make", lambda *_: os._exit(3))
+    monkeypatch.setattr(process_file.TileAnswers, "make", lambda *_: os._exit(3))
     with processes(2) as executor, pytest.raises(WorkerError, match="was not done"):
         processed(scan, executor)
     assert [file.name for file in scan.parent.iterdir()] == [scan.name]

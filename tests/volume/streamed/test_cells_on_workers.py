@@ -15,7 +15,7 @@ import pytest
 import geokit as gk
 from benchmarks.catalog import mesh_catalog
 from geokit import DeviceMemoryError, InputError, WorkerError
-from geokit.volume.streamed import band_file, cell_band
+from geokit.volume.streamed import cell_band, from_mesh_file
 from tests.support.dask_cluster import cluster_client
 
 
@@ -51,7 +51,7 @@ def test_the_file_has_the_same_bytes(pool: Callable[[int], Executor], scan: Path
 @pytest.mark.slow
 def test_so_it_has_if_cells_are_split_there(scan: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     expected = banded(scan, size=0.009)
-    monkeypatch.setattr(band_file, "MOST_CELLS", 2)
+    monkeypatch.setattr(from_mesh_file, "MOST_CELLS", 2)
     monkeypatch.setattr(cell_band, "LARGEST_SPAN", 128)
     tasks: list[int] = []
     made = cell_band.CellBands.make
