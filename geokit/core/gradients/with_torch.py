@@ -319,7 +319,6 @@ LIBRARY = Library(
     where=torch.where,
     sqrt=torch.sqrt,
     floor=torch.floor,
-    arctan2=torch.arctan2,
     stack=torch.stack,
     take=_take,
     add=_add,
@@ -329,7 +328,6 @@ LIBRARY = Library(
     whole=lambda tensor: tensor.long(),
     listed=lambda offsets, total: torch.repeat_interleave(offsets.diff(), output_size=total),
     detach=lambda tensor: tensor.detach(),
-    on_host=lambda tensor: tensor.detach().cpu().numpy(),
     ask=lambda query, points, shape, *beside: query(points, *beside),
     once=_once,
 )

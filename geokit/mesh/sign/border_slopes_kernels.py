@@ -13,7 +13,8 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 @wp.func
 def end_slopes(a: wp.vec3d, b: wp.vec3d):
     """4 pi times the slopes of the ends of an edge that is passed once; the point is at the origin."""
-    normal = wp.cross(b, a)
+    # That of b and a; of a point far away both are nearly equal.
+    normal = wp.cross(b - a, a)
     square = wp.dot(normal, normal)
     la = wp.length(a)
     lb = wp.length(b)

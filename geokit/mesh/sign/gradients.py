@@ -55,7 +55,7 @@ def _pull(library: Library, asked: Asked, answer: Any, slopes: Any) -> dict[str,
     if not len(edges):
         return {"points": points * 0.0, "vertices": vertices * 0.0}
     a, b = (library.take(vertices, edges[:, end])[None] - points[:, None] for end in (0, 1))
-    normal, along, la, lb = cross(library, b, a), dot(a, b), length(library, a), length(library, b)
+    normal, along, la, lb = cross(library, b - a, a), dot(a, b), length(library, a), length(library, b)
     square = dot(normal, normal)
     # On the line of an edge there is no slope, or on the edge itself none that is bounded.
     some, is_beside = square > 0.0, along < 0.0
