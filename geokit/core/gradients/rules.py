@@ -56,9 +56,7 @@ class Rule(NamedTuple):
     Attributes:
         build: ``build(library, asked, answer)`` gives each output again as a function of the tensors, or None where an
             output has no derivative. ``asked`` is a :class:`Asked`; ``answer`` is a tuple of tensors that count as
-            constants.
-        prepare: ``prepare(library, asked)``: searches of the backward pass, for constant tensors; ``build`` may not
-            search.
+            constants. It may not search: torch differentiates it with tensors that have no memory.
         adjoint: ``adjoint(asked, answer, slopes, wanted, arrays)``: the wanted first derivatives, by name, by a
             kernel on the arrays where they lie; None where there is none for this call. All that are no tensors of
             objects lie on one device and are of one precision; ``arrays`` takes them to the kernel
@@ -78,7 +76,6 @@ class Rule(NamedTuple):
 
     has_slope: tuple[bool, ...]
     build: Callable[..., tuple[Any, ...]] | None = None
-    prepare: Callable[..., Any] | None = None
     adjoint: Callable[..., dict[str, Any] | None] | None = None
     pull: Callable[..., dict[str, Any]] | None = None
     is_traced: bool = True
@@ -93,12 +90,10 @@ class Asked(NamedTuple):
     Attributes:
         tensors: What the answer depends on, by name: tensors of the call and those that the object holds.
         arguments: All arguments by name, also the object under its parameter's name.
-        prepared: What the rule's ``prepare`` found.
     """
 
     tensors: dict[str, Any]
     arguments: dict[str, Any]
-    prepared: Any = None
 
 
 class Call(NamedTuple):

@@ -103,9 +103,6 @@ def pulled(rule: Rule, asked: Asked, answer: Any, slopes: Any, wanted: list[str]
     if rule.pull is not None:
         return rule.pull(LIBRARY, asked, answer, slopes)
     build: Any = rule.build
-    if rule.prepare is not None:
-        plain = {name: tensor.detach() for name, tensor in asked.tensors.items()}
-        asked = asked._replace(prepared=rule.prepare(LIBRARY, asked._replace(tensors=plain)))
 
     def outputs(*some: Any) -> tuple[Any, ...]:
         # In float64 throughout, as the search itself.

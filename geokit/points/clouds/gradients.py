@@ -19,30 +19,6 @@ from geokit.points.neighbors.neighbor_grid import NeighborGrid
 __all__ = ["DENSITY"]
 
 
-def _smoothed(library: Library, kernel: str, q: Any) -> Any:
-    """W * radius^3 at a share q of the radius, at most 1."""
-    rest = 1.0 - q
-    if kernel == "cubic_spline":
-        inner = 1.0 - 6.0 * q * q + 6.0 * q * q * q
-        return 8.0 / math.pi * library.where(q <= 0.5, inner, 2.0 * rest * rest * rest)
-    if kernel == "wendland_c2":
-        return 21.0 / (2.0 * math.pi) * rest**4 * (1.0 + 4.0 * q)
-    return 315.0 / (64.0 * math.pi) * (1.0 - q * q) ** 3
-
-
-def _found(asked: Asked, device: Any) -> tuple[NeighborGrid, Any]:
-    """The points as a grid, and the pairs within the radius. They are searched again: the sum has no use for a list."""
-    points, queries = (split(asked.tensors.get(name, asked.tensors["points"]))[0] for name in ("points", "queries"))
-    grid = NeighborGrid(points, float(asked.arguments["radius"]), device=device)
-    return grid, grid.radius_search(queries)
-
-
-def _pairs(library: Library, asked: Asked) -> tuple[Any, Any]:
-    """Query and point of each pair within the radius."""
-    _, found = _found(asked, asked.arguments["device"])
-    return library.listed(found.offsets, len(found.indices)), library.whole(found.indices)
-
-
 def _kernel(asked: Asked) -> str:
     kernel: str = asked.arguments["kernel"]
     if kernel == "count":
@@ -50,14 +26,37 @@ def _kernel(asked: Asked) -> str:
     return kernel
 
 
-def _density(library: Library, asked: Asked, answer: Any) -> tuple[Any, ...]:
-    kernel, radius = _kernel(asked), float(asked.arguments["radius"])
+def _found(asked: Asked) -> tuple[NeighborGrid, Any]:
+    """The points as a grid, and the pairs within the radius. They are searched again: the sum has no use for a list."""
     points = asked.tensors["points"]
-    queries = asked.tensors.get("queries", points)
-    row, other = asked.prepared
-    away = length(library, library.take(queries, row) - library.take(points, other)) / radius
+    grid = NeighborGrid(split(points)[0], float(asked.arguments["radius"]), device=asked.arguments["device"])
+    return grid, grid.radius_search(split(asked.tensors.get("queries", points))[0])
+
+
+def _slope(library: Library, kernel: str, q: Any) -> Any:
+    """The derivative of W * radius^3 by a share q of the radius, at most 1."""
+    rest = 1.0 - q
+    if kernel == "cubic_spline":
+        return 8.0 / math.pi * library.where(q <= 0.5, (18.0 * q - 12.0) * q, -6.0 * rest * rest)
+    if kernel == "wendland_c2":
+        return -210.0 / math.pi * q * rest**3
+    return -945.0 / (32.0 * math.pi) * q * (1.0 - q * q) ** 2
+
+
+def _pull(library: Library, asked: Asked, answer: Any, slopes: Any) -> dict[str, Any]:
+    radius, found = float(asked.arguments["radius"]), _found(asked)[1]
+    points, slope = library.wide(asked.tensors["points"]), library.wide(slopes[0])
+    queries = library.wide(asked.tensors.get("queries", points))
+    row, other = library.listed(found.offsets, len(found.indices)), library.whole(found.indices)
     mass = library.constant(np.broadcast_to(read_numbers(asked.arguments["mass"], "mass"), (len(points),)), points)
-    return (library.add(library.take(mass, other) * _smoothed(library, kernel, away), row, len(queries)) / radius**3,)
+    away = library.take(queries, row) - library.take(points, other)
+    far = length(library, away)
+    by_far = library.take(slope, row) * mass[other] * _slope(library, _kernel(asked), far / radius) / radius**4
+    pulls = (by_far / library.where(far > 0.0, far, 1.0))[:, None] * away
+    of_queries, of_points = library.add(pulls, row, len(queries)), -library.add(pulls, other, len(points))
+    if "queries" in asked.tensors:
+        return {"points": of_points, "queries": of_queries}
+    return {"points": of_points + of_queries}
 
 
 def _adjoint(asked: Asked, answer: Any, slopes: Any, wanted: list[str], arrays: Any) -> dict[str, Any] | None:
@@ -67,7 +66,7 @@ def _adjoint(asked: Asked, answer: Any, slopes: Any, wanted: list[str], arrays: 
     if arrays.device != launcher.resolve_device(asked.arguments["device"]) or slopes[0] is None:
         return None
     kernel = _kernel(asked)
-    grid, found = _found(asked, arrays.device)
+    grid, found = _found(asked)
     smoothing: Any = kernels.SMOOTHING[kernel]()
     smoothing.inverse_radius = wp.float64(1.0 / float(asked.arguments["radius"]))
     mass = wp.array(np.ravel(read_numbers(asked.arguments["mass"], "mass")), dtype=wp.float64, device=arrays.device)
@@ -87,4 +86,4 @@ def _shapes(asked: Asked) -> list[tuple[tuple[int, ...], str]]:
     return [((asked.tensors.get("queries", asked.tensors["points"]).shape[0],), "float")]
 
 
-DENSITY = Rule((True,), _density, prepare=_pairs, adjoint=_adjoint, is_traced=False, check=_kernel, shapes=_shapes)
+DENSITY = Rule((True,), pull=_pull, adjoint=_adjoint, is_traced=False, check=_kernel, shapes=_shapes)
