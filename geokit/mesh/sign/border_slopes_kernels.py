@@ -6,6 +6,8 @@ from typing import Any
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.core.gradients.sums_kernels import overloads
+
 # Without fused multiply-adds a GPU gives the same bits as a CPU.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -81,16 +83,6 @@ def vertex_slopes_kernel(
     out_vertex[2 * k + 1] = ends[1]
 
 
-def _overloads(kernel: Any) -> dict[Any, Any]:
-    """Overloads by the type of the points' coordinates."""
-    return {
-        number: wp.overload(
-            kernel,
-            {name: wp.array(dtype=kind) for name, kind in given.items() if name in kernel.adj.arg_types},
-        )
-        for number, vector in ((wp.float32, wp.vec3f), (wp.float64, wp.vec3d))
-        for given in [{"points": vector, "by_winding": number, "out_points": vector}]
-    }
-
-
-POINT_SLOPES, VERTEX_SLOPES = _overloads(point_slopes_kernel), _overloads(vertex_slopes_kernel)
+# By the type of the points' coordinates.
+POINT_SLOPES = overloads(point_slopes_kernel, ("points", "out_points"), ("by_winding",))
+VERTEX_SLOPES = overloads(vertex_slopes_kernel, ("points",), ("by_winding",))

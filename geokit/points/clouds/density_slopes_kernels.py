@@ -6,6 +6,7 @@ from typing import Any
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.core.gradients.sums_kernels import overloads
 from geokit.points.clouds.density_kernels import CubicSpline, Poly6, WendlandC2
 
 # Without fused multiply-adds a GPU gives the same bits as a CPU.
@@ -62,10 +63,6 @@ def density_slopes_kernel(
 SMOOTHING = {"cubic_spline": CubicSpline, "wendland_c2": WendlandC2, "poly6": Poly6}
 # By the kernel, and by the type of the queries' coordinates.
 DENSITY_SLOPES = {
-    (name, number): wp.overload(
-        density_slopes_kernel,
-        {"smoothing": kind, **{key: wp.array(dtype=number) for key in ("distance", "by_density", "out_by_distance")}},
-    )
+    name: overloads(density_slopes_kernel, (), ("distance", "by_density", "out_by_distance"), smoothing=kind)
     for name, kind in SMOOTHING.items()
-    for number in (wp.float32, wp.float64)
 }

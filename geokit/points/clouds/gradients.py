@@ -73,7 +73,7 @@ def _adjoint(asked: Asked, answer: Any, slopes: Any, wanted: list[str], arrays: 
     by = arrays.made(len(found.indices), 1)
     lists = [arrays.given(part) for part in (found.offsets, found.indices, found.distance)]
     arrays.launch(
-        kernels.DENSITY_SLOPES[kernel, arrays.number],
+        kernels.DENSITY_SLOPES[kernel][arrays.number],
         len(found.offsets) - 1,
         [*lists, mass, smoothing, arrays.given(slopes[0])],
         [by],
