@@ -1,4 +1,4 @@
-"""Arrays as kernels of derivatives take and give them: of warp, and of NumPy on a CPU.
+"""Arrays of warp as kernels of derivatives take and give them.
 
 :class:`geokit.core.gradients.tensor_rows.TensorArrays` does the same for tensors of torch.
 """
@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 import warp as wp
 
 from geokit.core import launcher
@@ -16,7 +15,6 @@ from geokit.core.base.query import Query
 from geokit.core.gradients.rules import Asked
 from geokit.core.gradients.sums_kernels import ADD, number_kernel, sum_rows_kernel
 from geokit.core.interop.arrays import detached, reinterpreted
-from geokit.core.memory.host_array import HostArray
 from geokit.core.memory.unchecked import sort_pairs
 
 __all__ = ["WarpArrays", "add_to", "pulled_by_kernel"]
@@ -43,8 +41,6 @@ class WarpArrays:
         """
         if values is None:
             return wp.empty(0, dtype=_VECTORS[self.number] if width == 3 else self.number, device=self.device)
-        if not isinstance(values, wp.array):
-            return HostArray(np.ascontiguousarray(values.reshape(-1, 3) if width == 3 else values.reshape(-1)))
         number = _numbers_of(values)
         count = values.size * (1 if number is values.dtype else 3) // width
         return reinterpreted(values, _VECTORS[number] if width == 3 else number, (count,))
@@ -99,7 +95,7 @@ def add_to(array: Any, part: Any) -> None:
     if total is None or not total.size:
         return
     whole = total if total.is_contiguous else detached(total)
-    pair = [_there(part, total.device, _numbers_of(part), hosted=False), whole]
+    pair = [_there(part, total.device, _numbers_of(part)), whole]
     numbers = [_numbers_of(one) for one in pair]
     flat = [reinterpreted(one, number, (one.size * (1 if number is one.dtype else 3),))
             for one, number in zip(pair, numbers, strict=True)]  # fmt: skip
@@ -108,14 +104,12 @@ def add_to(array: Any, part: Any) -> None:
         wp.copy(total, whole)
 
 
-def _there(array: Any, device: wp.Device, number: Any, hosted: bool = True) -> Any:
-    """An array without gaps on a device, floats of a precision; for a CPU (``hosted``) it may be one of NumPy."""
+def _there(array: Any, device: wp.Device, number: Any) -> Any:
+    """An array of warp without gaps on a device, floats of a precision."""
     if isinstance(array, wp.array):
         if array.device == device and _numbers_of(array) in (number, wp.int32, wp.int64):
             return array if array.is_contiguous else detached(array)
         array = array.numpy()
-    elif hosted and device.is_cpu:
-        return array
     kind = number if array.dtype.kind == "f" else wp.dtype_from_numpy(array.dtype)
     return wp.array(array, dtype=kind, device=device)
 
