@@ -10,6 +10,7 @@ torch = pytest.importorskip("torch")
 
 from benchmarks.catalog import mesh_catalog  # noqa: E402
 from geokit import mesh  # noqa: E402
+from geokit.mesh.sign import gradients  # noqa: E402
 from tests.support.gradient_checks import tensor  # noqa: E402
 
 FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3]])
@@ -52,8 +53,10 @@ def test_by_points_and_vertices(as_given):
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_kernels_agree_with_what_is_differentiated_further(dtype):
-    """Also on the lines of edges, a rounding beside them, and far away."""
+@pytest.mark.parametrize("parts", [1, 7, 1024])
+def test_kernels_agree_with_what_is_differentiated_further(parts, dtype, monkeypatch):
+    """Also on the lines of edges, a rounding beside them, and far away; in any number of parts of the points."""
+    monkeypatch.setattr(gradients, "MOST_PARTS", parts)
     body = mesh_catalog.icosphere()
     faces, ends = body.faces[: body.face_count // 2], body.vertices[:2]
     beside = ends.mean(axis=0) + np.array([[0.0, 0.0, 1e-9], [0.0, 0.0, 1e6]])
