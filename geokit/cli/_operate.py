@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from cyclopts import CycloptsError, Parameter
 
-from geokit.cli._kinds import Flag, grid_names, kind_of_input, kind_of_output, load_grid, may_write
+from geokit.cli._kinds import grid_names, kind_of_input, kind_of_output, load_grid, may_write
 from geokit.cli._program.console import announce_compiling, print_json, say, step
+from geokit.cli._results import Common as Writing
 from geokit.errors import GeokitError, InputError
 
 if TYPE_CHECKING:
@@ -22,17 +23,13 @@ __all__ = ["DEFAULTS", "REMEDY", "Common", "apply", "combine", "operation", "req
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class Common:
+class Common(Writing):
     """Options of all operations that write a volume."""
 
     grid: str | None = None
     """Name of the grid, if a file holds several; all for each of them."""
     codec: str | None = None
     """Compression: none, zip or blosc; by default blosc for .vdb and none for .nvdb."""
-    force: Flag = False
-    """Replace an existing output."""
-    json: Flag = False
-    """Print a summary as JSON."""
 
 
 DEFAULTS = Common()

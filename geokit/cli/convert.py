@@ -17,6 +17,7 @@ from geokit.cli._kinds import (
     Flag,
     Kind,
     grid_names,
+    in_unit,
     kind_of_input,
     kind_of_output,
     load_cloud,
@@ -26,6 +27,7 @@ from geokit.cli._kinds import (
 )
 from geokit.cli._points import cloud_to_mesh, cloud_to_volume, mesh_to_cloud, save_cloud
 from geokit.cli._program.console import announce_compiling, note, print_json, say, step
+from geokit.cli._results import described
 from geokit.cli._storage import Storage
 from geokit.core.files import atomic_path, extension, size_of
 from geokit.errors import InputError
@@ -152,7 +154,7 @@ def convert(
 
     if out_dir is not None:
         pairs = list(zip(files, targets_in(out_dir, files, to), strict=True))
-        return run_batch(work, pairs, 1 if jobs is None else jobs, _described, json=json)
+        return run_batch(work, pairs, 1 if jobs is None else jobs, described, json=json)
     for name, value in (("to", to), ("jobs", jobs)):
         if value is not None:
             raise InputError(f"--{name}: goes with --out-dir; leave it out, or give --out-dir")
@@ -163,15 +165,8 @@ def convert(
     if json:
         print_json(summary)
     else:
-        say(_described(summary))
+        say(described(summary))
     return 0
-
-
-def _described(summary: dict[str, Any]) -> str:
-    details = ", ".join(
-        f"{name} {_short(value)}" for name, value in summary.items() if name not in ("source", "target")
-    )
-    return f"{summary['target']}: {details}"
 
 
 @dataclass(frozen=True)
@@ -314,20 +309,9 @@ def _refuse_unused(kinds: tuple[str, str], job: _Job) -> None:
 
 
 def _load_mesh(job: _Job) -> TriangleMesh:
-    """The mesh of a file, in the unit and with the axis up that are asked for."""
-    from geokit.mesh import convert_unit, load
+    from geokit.mesh import load
 
-    unit, up, from_unit, from_up = (job.options[name] for name in UNIT_OPTIONS)
-    mesh = load(job.source)
-    if (unit, up, from_unit, from_up) == (None, None, None, None):
-        return mesh
-    try:
-        return convert_unit(mesh, unit, up_axis=up, from_unit=from_unit, from_up_axis=from_up)
-    except InputError as error:
-        # The library's message names its parameters; the user knows the options.
-        told = str(error).replace("from_up_axis", "--from-up").replace("up_axis", "--up")
-        told = told.replace("from_unit", "--from-unit").replace("the mesh", str(job.source))
-        raise InputError(f"--{told}" if told.startswith("unit:") else told) from error
+    return in_unit(load(job.source), job.source, *(job.options[name] for name in UNIT_OPTIONS))
 
 
 def _mesh_to_mesh(job: _Job) -> dict[str, Any]:
@@ -431,11 +415,6 @@ def _streamed_cloud(job: _Job) -> dict[str, Any]:
     if found.left_out_count and not job.quiet:
         note(f"{job.source}: {found.left_out_count} of its {found.read_count} points are not finite and were left out")
     return {"points": found.written_count}
-
-
-def _short(value: Any) -> Any:
-    """A value for a line of text: no more digits than anyone reads."""
-    return f"{value:.6g}" if isinstance(value, float) else value
 
 
 def _rounded(length: float) -> float:

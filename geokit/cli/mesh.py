@@ -2,65 +2,32 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from cyclopts import App, Parameter
 
-from geokit.cli._kinds import Device, Flag, may_write
+from geokit.cli._kinds import Device, may_write
 from geokit.cli._program.console import announce_compiling, print_json, say, step
+from geokit.cli._results import DEFAULTS, Changed, Common, Source, deliver_mesh
 from geokit.errors import InputError
 from geokit.formats.foreign import require_format
-
-if TYPE_CHECKING:
-    from geokit.mesh import TriangleMesh
 
 __all__ = ["app"]
 
 app = App(name="mesh", help="Make simple bodies; split, move and color meshes.")
 
-Source = Annotated[Path, Parameter(name="IN")]
-Target = Annotated[Path, Parameter(name="OUT")]
 Point = tuple[float, float, float]
-Changed = Annotated[Path, Parameter(name="OUT", help="The mesh to write.")]
+Target = Annotated[Path, Parameter(name="OUT")]
 Body = Annotated[Path, Parameter(name="OUT", help="The file to write.")]
 Center = Annotated[Point, Parameter(help="Its middle.")]
-
-
-@Parameter(name="*")
-@dataclass(frozen=True)
-class Common:
-    """Options of all commands."""
-
-    force: Flag = False
-    """Replace an existing output."""
-    json: Flag = False
-    """Print a summary as JSON."""
-
-
-DEFAULTS = Common()
-
-
-def _deliver(made: TriangleMesh, target: Path, common: Common) -> None:
-    """Write a mesh, and say what it is."""
-    from geokit.mesh import save
-
-    may_write(target, "mesh", force=common.force)
-    with step(f"writing {target}", quiet=common.json):
-        save(target, made)
-    summary: dict[str, Any] = {"target": str(target), "vertices": made.vertex_count, "faces": made.face_count}
-    if common.json:
-        print_json(summary)
-    else:
-        say(f"{target}: vertices {made.vertex_count}, faces {made.face_count}")
 
 
 def _write(target: Path, common: Common, body: str, *sizes: Any, **options: Any) -> None:
     """Write a simple body of ``geokit.mesh``."""
     from geokit import mesh
 
-    _deliver(getattr(mesh, body)(*sizes, **options), target, common)
+    deliver_mesh(getattr(mesh, body)(*sizes, **options), target, common)
 
 
 @app.command
@@ -217,7 +184,7 @@ def keep_largest(
     may_write(target, "mesh", force=common.force)
     with step(f"splitting {source}", quiet=common.json):
         found = mesh.keep_largest(mesh.load(source), count, share=share)
-    _deliver(found, target, common)
+    deliver_mesh(found, target, common)
 
 
 @app.command
@@ -256,7 +223,7 @@ def transform(
         table = np.reshape(matrix, (4, 4))
     with step(f"reading {source}", quiet=common.json):
         found = mesh.load(source)
-    _deliver(mesh.transform(found, table), target, common)
+    deliver_mesh(mesh.transform(found, table), target, common)
 
 
 def _rotation(given: tuple[float, float, float, float] | None) -> Any:
@@ -298,4 +265,4 @@ def transfer(
     announce_compiling()
     with step(f"taking attributes from {other}", quiet=common.json):
         found = mesh.transfer_attributes(mesh.load(source), mesh.load(other), names=name, device=device)
-    _deliver(found, target, common)
+    deliver_mesh(found, target, common)

@@ -7,8 +7,8 @@ from typing import Annotated
 
 from cyclopts import App, Parameter
 
-from geokit.cli._kinds import Device, grid_names, load_grid
-from geokit.cli._operate import DEFAULTS, REMEDY, Common, Flag, apply, combine, operation, require_volume_file
+from geokit.cli._kinds import Device, Flag, grid_names, load_grid
+from geokit.cli._operate import DEFAULTS, REMEDY, Common, apply, combine, operation, require_volume_file
 from geokit.cli._program.console import print_facts, print_json
 
 __all__ = ["app"]
