@@ -19,7 +19,6 @@ from geokit.formats.foreign import refuse_foreign, require_format
 from geokit.formats.table import FORMATS, SPARSE, STAGES, Content, image_module, module_of, volume_kind
 
 if TYPE_CHECKING:
-    from geokit.mesh.model.triangle_mesh import TriangleMesh
     from geokit.points._io import PointCloud, Rays
     from geokit.volume.model.sparse_volume import SparseVolume
 
@@ -32,7 +31,6 @@ __all__ = [
     "UpAxis",
     "called",
     "grid_names",
-    "in_unit",
     "kind_of_input",
     "kind_of_output",
     "load_cloud",
@@ -82,7 +80,7 @@ def kind_of_input(path: Path, grid: str | None = None) -> Kind:
     require_file(path)
     if extension(path) not in FORMATS:
         refuse_foreign(path)
-    kind = _kind_of_extension(path)
+    kind = kind_of_output(path)
     if extension(path) == ".vdb":
         return "cloud" if _holds_points(path, grid) else "volume"
     if extension(path) in STAGES:
@@ -98,9 +96,9 @@ def require_kind(path: Path, *wanted: Kind) -> Kind:
     Raises:
         InputError: It is another one.
     """
-    found = kind_of_input(path)
+    found, needed = kind_of_input(path), " or a ".join(wanted)
     if found not in wanted:
-        raise InputError(f"{path}: holds a {found}, and this command needs a {' or a '.join(wanted)}")
+        raise InputError(f"{path}: holds a {found}, and this command needs a {needed}; geokit convert makes one of it")
     return found
 
 
@@ -110,10 +108,6 @@ def kind_of_output(path: Path) -> Kind:
     Raises:
         InputError: The extension is unknown.
     """
-    return _kind_of_extension(path)
-
-
-def _kind_of_extension(path: Path) -> Kind:
     kind = extension(path)
     if kind not in FORMATS:
         listed = ", ".join(sorted(FORMATS))
@@ -182,26 +176,6 @@ def refuse_unused(where: str, **options: Any) -> None:
             raise InputError(f"--{name.replace('_', '-')}: has no effect {where}; leave it out")
 
 
-def in_unit(
-    mesh: "TriangleMesh",
-    path: Path,
-    unit: str | None = None,
-    up: str | None = None,
-    from_unit: str | None = None,
-    from_up: str | None = None,
-) -> "TriangleMesh":
-    """The mesh of a file in the unit and with the axis up that are asked for, from those that its own are said to be.
-
-    Raises:
-        InputError: One is unknown or missing; the message names the option.
-    """
-    from geokit.mesh import convert_unit
-
-    options = (("from_up_axis", "--from-up"), ("up_axis", "--up"), ("from_unit", "--from-unit"), ("^unit", "--unit"))
-    with called(*options, ("the mesh", path)):
-        return convert_unit(mesh, unit, up_axis=up, from_unit=from_unit, from_up_axis=from_up)
-
-
 def load_cloud(
     path: Path, finite_only: bool = True, grid: str | None = None, columns: str | None = None
 ) -> "PointCloud":
@@ -254,7 +228,7 @@ def called(*names: tuple[Any, Any]) -> Iterator[None]:
         yield
     except GeokitError as error:
         told = str(error)
-        for pattern, name in (*names, (r"mesh\.convert_unit gives", "geokit convert --unit gives")):
+        for pattern, name in (*names, ("from_unit", "--from-unit"), (r"mesh\.convert_unit", "geokit convert --unit")):
             told = re.sub(pattern, str(name).replace("\\", "\\\\") if isinstance(name, Path) else name, told)
         raise type(error)(told) from error
 

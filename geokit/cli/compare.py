@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from html import escape
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,14 +9,13 @@ import numpy as np
 from cyclopts import Parameter
 
 from geokit._packages import require_package
-from geokit.cli._batches.report import STYLE, table
-from geokit.cli._kinds import Flag, called, in_unit, load_cloud, refuse_unused, require_kind
+from geokit.cli._batches.report import table, write_page
+from geokit.cli._kinds import Flag, called, load_cloud, refuse_unused, require_kind
 from geokit.cli._points import DEFAULT_COUNT
 from geokit.cli._program.console import announce_compiling, shown, step
-from geokit.cli._program.lengths import AnyLength, FromUnit, length_in, unit_of
+from geokit.cli._program.lengths import AnyLength, FromUnit, lengths_in, unit_of
 from geokit.cli._results import ASKING, OUTPUT_EXTENSIONS, Asking, check_output, deliver, spread
-from geokit.core.files import atomic_path, extension
-from geokit.core.interop.user_arrays import require_finite_scalar
+from geokit.core.files import extension
 from geokit.core.require import require_one_world
 from geokit.errors import InputError
 from geokit.formats.table import FORMATS, with_formats
@@ -60,7 +58,7 @@ def compare(
     require_kind(design, "mesh")
     announce_compiling()
     with step(f"reading {scan} and {design}", quiet=common.json), called(("SCAN", scan), ("DESIGN", design)):
-        world = {"DESIGN": in_unit(mesh.load(design), design, from_unit=from_unit)}
+        world = {"DESIGN": mesh.convert_unit(mesh.load(design), from_unit=from_unit)}
         if kind == "cloud":
             cloud = load_cloud(scan, common.finite_only, columns=common.columns)
         else:
@@ -70,7 +68,7 @@ def compare(
         meters = require_one_world(**world)["meters_per_unit"]
     if not len(cloud):
         raise InputError(f"{scan}: has no points; there is nothing to compare")
-    allowed = None if limit is None else require_finite_scalar(length_in(meters, limit, "limit"), "--limit", low=0.0)
+    allowed = lengths_in(meters, limit=limit)
     at, facts = np.asarray(cloud.points, dtype=np.float64), {"points": len(cloud), **unit_of(meters)}
     with step("comparing", quiet=common.json), called(("^max_distance", "--align"), ("; raise it.*", "; leave it out")):
         surface = mesh.Surface(world["DESIGN"], device=common.device)
@@ -83,21 +81,19 @@ def compare(
         off = np.asarray(surface.signed_distance(at).distance)
     facts |= {"sign_reason": surface.sign_reason, **spread("deviation", off)}
     facts |= {"deviation_min_at": at[np.argmin(off)], "deviation_max_at": at[np.argmax(off)]}
-    if allowed is not None:
-        facts |= {"limit": allowed, "beyond_limit": float(np.mean(np.abs(off) > allowed))}
-    if result is None or extension(result) != ".html":
-        return deliver(at, {"deviation": off}, facts, result, json=common.json)
-    from geokit.render._camera import up_of
+    if allowed:
+        facts |= {**allowed, "beyond_limit": float(np.mean(np.abs(off) > allowed["limit"]))}
+    if result is not None and extension(result) == ".html":
+        from geokit.render._camera import up_of
 
-    far = allowed or float(np.percentile(np.abs(off), PERCENT)) or 1.0
-    title = f"{scan.name} against {design.name}"
-    text = _page(title, at, off, far, facts, up_of(world["DESIGN"], FORMATS[extension(design)].up))
-    with atomic_path(result) as part:
-        part.write_text(text, encoding="utf-8", errors="replace")
-    return deliver(at, {}, {**facts, "output": str(result)}, None, json=common.json)
+        far = allowed.get("limit") or float(np.percentile(np.abs(off), PERCENT)) or 1.0
+        body = _page(at, off, far, facts, up_of(world["DESIGN"], FORMATS[extension(design)].up))
+        write_page(result, f"{scan.name} against {design.name}", body)
+        facts["output"], result = str(result), None
+    deliver(at, {"deviation": off}, facts, result, json=common.json)
 
 
-def _page(title: str, at: Any, off: Any, far: float, facts: dict[str, Any], up: str) -> str:
+def _page(at: Any, off: Any, far: float, facts: dict[str, Any], up: str) -> str:
     """A map, a histogram in its colors up to a deviation, and the numbers."""
     from geokit.points import PointCloud
     from geokit.render import view
@@ -105,7 +101,7 @@ def _page(title: str, at: Any, off: Any, far: float, facts: dict[str, Any], up: 
     matplotlib = require_package("matplotlib")
     colors = matplotlib.colormaps["coolwarm"]
     rgb = np.rint(255.0 * colors(0.5 + 0.5 * off / far)[:, :3]).astype(np.uint8)
-    scene = view(PointCloud(at, {"deviation": off, "rgb": rgb}), title=title, colormap="coolwarm", up=up)
+    scene = view(PointCloud(at, {"deviation": off, "rgb": rgb}), names=["scan"], colormap="coolwarm", up=up)
     # What is farther away is in the outermost bars, as it has the outermost colors.
     counts, edges = np.histogram(np.clip(off, -far, far), bins=BINS, range=(-far, far))
     side = WIDTH / BINS
@@ -115,14 +111,6 @@ def _page(title: str, at: Any, off: Any, far: float, facts: dict[str, Any], up: 
         f"<title>{edges[bar]:.4g} to {edges[bar + 1]:.4g}: {counts[bar]:,}</title></rect>"
         for bar, high in enumerate(HEIGHT * counts / counts.max())
     ]
-    labels = [
-        f'<text x="{0.5 * WIDTH * (1 + end)}" y="{HEIGHT + 16}" text-anchor="{anchor}">{end * far:.4g}</text>'
-        for end, anchor in ((-1, "start"), (0, "middle"), (1, "end"))
-    ]
-    title = escape(title)
     rows = [(name.replace("_", " "), shown(value)) for name, value in facts.items()]
-    return (
-        f"<!doctype html><meta charset=utf-8><title>{title}</title><style>{STYLE}</style><h1>{title}</h1>"
-        f'{scene._repr_html_()}<h2>Deviation</h2><svg width="{WIDTH}" height="{HEIGHT + 20}" font-size="13">'
-        f"{''.join(bars + labels)}</svg>{table(('', ''), rows)}\n"
-    )
+    head = f"<h2>Deviation from {-far:.4g} to {far:.4g}</h2>"
+    return f"{scene._repr_html_()}{head}<svg width={WIDTH} height={HEIGHT}>{''.join(bars)}</svg>{table(('', ''), rows)}"

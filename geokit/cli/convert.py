@@ -12,12 +12,13 @@ from cyclopts import CycloptsError, Parameter
 
 from geokit.cli._batch import run_batch, targets_in
 from geokit.cli._kinds import (
+    Columns,
     Device,
     FiniteOnly,
     Flag,
     Kind,
+    called,
     grid_names,
-    in_unit,
     kind_of_input,
     kind_of_output,
     load_cloud,
@@ -77,7 +78,7 @@ def convert(
     up: str | None = None,
     from_unit: str | None = None,
     from_up: str | None = None,
-    columns: str | None = None,
+    columns: Columns = None,
     stream: Flag = False,
     normals: int | None = None,
     density: float | None = None,
@@ -131,8 +132,6 @@ def convert(
         up: From a mesh: the axis that points up in what is made, x, y or z; the mesh is turned by a quarter.
         from_unit: With unit, or to say it in the new file: the unit of a file that does not say its own.
         from_up: With up, or to say it in the new file: the axis that points up in a file that does not say its own.
-        columns: From a table of points (.csv .xyz .txt): names of the columns of x, y and z, as in east,north,up; by
-            default their names tell.
         stream: Read and write block after block, so that neither has to fit into memory: a closed mesh in a binary .stl
             or .ply to .nvdb with voxel-size, or a cloud in a binary .ply, .las or .laz to one of these, where
             voxel-size, normals and density are as they say. It takes as much as --memory-limit says, by default half of
@@ -309,9 +308,13 @@ def _refuse_unused(kinds: tuple[str, str], job: _Job) -> None:
 
 
 def _load_mesh(job: _Job) -> TriangleMesh:
-    from geokit.mesh import load
+    """The mesh of a file, in the unit and with the axis up that are asked for."""
+    from geokit.mesh import convert_unit, load
 
-    return in_unit(load(job.source), job.source, *(job.options[name] for name in UNIT_OPTIONS))
+    unit, up, from_unit, from_up = (job.options[name] for name in UNIT_OPTIONS)
+    names = (("from_up_axis", "--from-up"), ("up_axis", "--up"), ("^unit", "--unit"), ("the mesh", job.source))
+    with called(*names):
+        return convert_unit(load(job.source), unit, up_axis=up, from_unit=from_unit, from_up_axis=from_up)
 
 
 def _mesh_to_mesh(job: _Job) -> dict[str, Any]:

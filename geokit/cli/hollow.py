@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from cyclopts import CycloptsError
 
-from geokit.cli._kinds import Device, in_unit, may_write, require_kind
+from geokit.cli._kinds import Device, called, may_write, require_kind
 from geokit.cli._program.console import announce_compiling, step
-from geokit.cli._program.lengths import AnyLength, FromUnit, Places, length_in, unit_of
-from geokit.cli._results import DEFAULTS, Changed, Common, Source, deliver_mesh
-from geokit.core.interop.user_arrays import require_finite_scalar
+from geokit.cli._program.lengths import AnyLength, FromUnit, Places, length_in, lengths_in, unit_of
+from geokit.cli._results import DEFAULTS, Changed, Common, Source, deliver_mesh, spread
 from geokit.errors import InputError
 
 if TYPE_CHECKING:
@@ -57,19 +56,16 @@ def hollow(
     may_write(target, "mesh", force=common.force)
     require_kind(source, "mesh")
     announce_compiling()
-    with step(f"reading {source}", quiet=common.json):
-        part = in_unit(mesh.load(source), source, from_unit=from_unit)
+    with step(f"reading {source}", quiet=common.json), called():
+        part = mesh.convert_unit(mesh.load(source), from_unit=from_unit)
         audit = mesh.audit(part)
     if not (audit.watertight and audit.oriented):
         wrong = f"{audit.boundary_edge_count} edges are open" if audit.boundary_edge_count else "its faces do not agree"
         raise InputError(f"{source}: is not closed: {wrong}; geokit wrap makes a closed body of it")
     meters = part.meters_per_unit
-    given = {"wall": wall, "voxel-size": voxel_size, "drain-radius": drain_radius}
-    sizes = {key: length_in(meters, one, key) for key, one in given.items() if one is not None}
-    for key, size in sizes.items():
-        require_finite_scalar(size, f"--{key}", low=0.0)
-    thick, radius = sizes["wall"], sizes.get("drain-radius", 0.0)
-    voxel = sizes.get("voxel-size", thick / VOXELS_IN_WALL)
+    sizes = lengths_in(meters, wall=wall, voxel_size=voxel_size, drain_radius=drain_radius)
+    thick, radius = sizes["wall"], sizes.get("drain_radius", 0.0)
+    voxel = sizes.get("voxel_size", thick / VOXELS_IN_WALL)
     with step("hollowing", quiet=common.json):
         surface = mesh.Surface(part, device=device)
         solid = volume.from_mesh(surface, voxel)
@@ -79,7 +75,7 @@ def hollow(
             inside = mesh.from_volume(cavity, device=device)
         if not inside.face_count:
             raise InputError(
-                f"--wall: no place of {source} is {thick:g} deep, so nothing is hollow; give thinner walls"
+                f"--wall: no place of {source} is {thick:g} deep; give thinner walls, so that some is hollow"
             )
         inner = mesh.Surface(inside, device=device)
         places = np.reshape([length_in(meters, axis, "drain") for axis in drain or ()], (-1, 3))
@@ -90,14 +86,10 @@ def hollow(
         is_wall = depth > 0.5 * thick
         for tube in tubes:  # around a drain the depth is that of the hole
             is_wall &= np.asarray(mesh.Surface(tube, device=device).signed_distance(made.vertices).distance) > radius
-        depth = depth[is_wall]
-    facts = {
-        "voxel_size": voxel,
-        "least_wall": float(depth.min()),
-        "largest_wall": float(depth.max()),
-        "material": made.volume / part.volume,
-        "closed_cavities": sum(piece.volume < 0.0 for piece in mesh.split(made)),
-    }
+        closed = sum(piece.volume < 0.0 for piece in mesh.split(made))
+    walls = spread("wall", depth[is_wall])
+    facts = {"voxel_size": voxel, **{key: walls[key] for key in ("wall_min", "wall_max") if walls}}
+    facts |= {"material": made.volume / part.volume, "closed_cavities": closed}
     deliver_mesh(made, target, common, **unit_of(meters), **facts)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -19,51 +20,50 @@ app = App(name="mesh", help="Make simple bodies; split, move and color meshes.")
 
 Point = tuple[float, float, float]
 Target = Annotated[Path, Parameter(name="OUT")]
-Body = Annotated[Path, Parameter(name="OUT", help="The file to write.")]
-Center = Annotated[Point, Parameter(help="Its middle.")]
 
 
-def _write(target: Path, common: Common, body: str, *sizes: Any, **options: Any) -> None:
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Placed(Common):
+    """Options of all simple bodies."""
+
+    center: Point = (0, 0, 0)
+    """Its middle; of a cone that between base and tip."""
+
+
+PLACED = Placed()
+
+
+def _write(target: Path, common: Placed, body: str, *sizes: Any, **options: Any) -> None:
     """Write a simple body of ``geokit.mesh``."""
     from geokit import mesh
 
-    deliver_mesh(getattr(mesh, body)(*sizes, **options), target, common)
+    deliver_mesh(getattr(mesh, body)(*sizes, **options, center=common.center), target, common)
 
 
 @app.command
-def box(target: Body, /, *, size: Point, center: Center = (0, 0, 0), common: Common = DEFAULTS) -> None:
+def box(target: Changed, /, *, size: Point, common: Placed = PLACED) -> None:
     """Write a box along the axes.
 
     Args:
         size: Its lengths along x, y and z.
     """
-    _write(target, common, "box", size, center=center)
+    _write(target, common, "box", size)
 
 
 @app.command
-def sphere(
-    target: Body, /, *, radius: float, segments: int = 48, center: Center = (0, 0, 0), common: Common = DEFAULTS
-) -> None:
+def sphere(target: Changed, /, *, radius: float, segments: int = 48, common: Placed = PLACED) -> None:
     """Write a sphere.
 
     Args:
         radius: Its radius.
         segments: Triangles around it.
     """
-    _write(target, common, "sphere", radius, segments=segments, center=center)
+    _write(target, common, "sphere", radius, segments=segments)
 
 
 @app.command
-def cylinder(
-    target: Body,
-    /,
-    *,
-    radius: float,
-    height: float,
-    segments: int = 48,
-    center: Center = (0, 0, 0),
-    common: Common = DEFAULTS,
-) -> None:
+def cylinder(target: Changed, /, *, radius: float, height: float, segments: int = 48, common: Placed = PLACED) -> None:
     """Write a cylinder around z.
 
     Args:
@@ -71,42 +71,31 @@ def cylinder(
         height: Its length along z.
         segments: Quads around it.
     """
-    _write(target, common, "cylinder", radius, height, segments=segments, center=center)
+    _write(target, common, "cylinder", radius, height, segments=segments)
 
 
 @app.command
-def cone(
-    target: Body,
-    /,
-    *,
-    radius: float,
-    height: float,
-    segments: int = 48,
-    center: Point = (0, 0, 0),
-    common: Common = DEFAULTS,
-) -> None:
+def cone(target: Changed, /, *, radius: float, height: float, segments: int = 48, common: Placed = PLACED) -> None:
     """Write a cone around z, with its tip above.
 
     Args:
         radius: Radius of its base.
         height: Its length along z.
         segments: Triangles around it.
-        center: The middle between base and tip.
     """
-    _write(target, common, "cone", radius, height, segments=segments, center=center)
+    _write(target, common, "cone", radius, height, segments=segments)
 
 
 @app.command
 def torus(
-    target: Body,
+    target: Changed,
     /,
     *,
     radius: float,
     tube_radius: float,
     segments: int = 48,
     tube_segments: int = 24,
-    center: Center = (0, 0, 0),
-    common: Common = DEFAULTS,
+    common: Placed = PLACED,
 ) -> None:
     """Write a torus around z.
 
@@ -116,26 +105,18 @@ def torus(
         segments: Quads around the axis.
         tube_segments: Quads around the tube.
     """
-    _write(target, common, "torus", radius, tube_radius, segments=segments, tube_segments=tube_segments, center=center)
+    _write(target, common, "torus", radius, tube_radius, segments=segments, tube_segments=tube_segments)
 
 
 @app.command
-def plane(
-    target: Body,
-    /,
-    *,
-    size: tuple[float, float],
-    segments: int = 1,
-    center: Center = (0, 0, 0),
-    common: Common = DEFAULTS,
-) -> None:
+def plane(target: Changed, /, *, size: tuple[float, float], segments: int = 1, common: Placed = PLACED) -> None:
     """Write a rectangle that faces along z.
 
     Args:
         size: Its lengths along x and y.
         segments: Quads along each side.
     """
-    _write(target, common, "plane", size, segments=segments, center=center)
+    _write(target, common, "plane", size, segments=segments)
 
 
 @app.command

@@ -26,13 +26,7 @@ Output = Annotated[Path | None, Parameter(name=["--output", "-o"], allow_leading
 @app.command
 @with_formats("points", "r", outputs=OUTPUT_EXTENSIONS)
 def closest(
-    mesh: Path,
-    points: Path,
-    /,
-    *,
-    output: Output = None,
-    max_distance: float = math.inf,
-    common: Asking = ASKING,
+    mesh: Path, points: Path, /, *, output: Output = None, max_distance: float = math.inf, common: Asking = ASKING
 ) -> None:
     """Find the closest point on a mesh for each point.
 
@@ -44,10 +38,9 @@ def closest(
     """
     check_output(output, force=common.force)
     surface, queries = _surface(mesh, common.device, common), _points(points, common)
-    started = time.perf_counter()
     with step(f"querying {mesh}", quiet=common.json) as asking:
         found = surface.closest_point(queries, max_distance=max_distance, progress=asking.progress)
-    summary = _summary(len(queries), started, surface.device)
+    summary = _summary(len(queries), asking.started, surface.device)
     hits = found.triangle_id >= 0
     summary.update(hits=int(hits.sum()), **spread("distance", found.distance[hits]))
     deliver(queries, _closest(found), summary, output, json=common.json)
@@ -55,15 +48,7 @@ def closest(
 
 @app.command
 @with_formats("points", "r", outputs=OUTPUT_EXTENSIONS)
-def signed(
-    mesh: Path,
-    points: Path,
-    /,
-    *,
-    output: Output = None,
-    sign: str = "auto",
-    common: Asking = ASKING,
-) -> None:
+def signed(mesh: Path, points: Path, /, *, output: Output = None, sign: str = "auto", common: Asking = ASKING) -> None:
     """Compute the signed distance of each point to a mesh, negative inside.
 
     Args:
@@ -75,10 +60,9 @@ def signed(
     """
     check_output(output, force=common.force)
     surface, queries = _surface(mesh, common.device, common), _points(points, common)
-    started = time.perf_counter()
     with step(f"querying {mesh}", quiet=common.json) as asking:
         found = surface.signed_distance(queries, sign=sign, progress=asking.progress)
-    summary = _summary(len(queries), started, surface.device)
+    summary = _summary(len(queries), asking.started, surface.device)
     summary.update(
         sign_method=surface.sign_method if sign == "auto" else sign,
         sign_reason=surface.sign_reason if sign == "auto" else "asked for",
@@ -115,10 +99,9 @@ def ray(
     surface = _surface(mesh, device, common)
     origins, directions = load_rays(rays, columns)
     announce_compiling()
-    started = time.perf_counter()
     with step(f"querying {mesh}", quiet=common.json) as asking:
         found = surface.raycast(origins, directions, max_distance=max_distance, progress=asking.progress)
-    summary = _summary(len(origins), started, surface.device)
+    summary = _summary(len(origins), asking.started, surface.device)
     hits = found.triangle_id >= 0
     summary.update(hits=int(hits.sum()), **spread("t", found.t[hits]))
     # Hits only: on misses t is inf, and inf * 0 would raise a warning.
@@ -161,13 +144,12 @@ def sample(
     require_kind(volume, "volume")
     field, queries = load_grid(volume, grid), _points(points, common)
     announce_compiling()
-    started = time.perf_counter()
-    with step(f"querying {volume}", quiet=common.json):
+    with step(f"querying {volume}", quiet=common.json) as asking:
         values = np.asarray(field.sample(queries, order=order, device=common.device))
         data = {"value": values}
         if gradient:
             data["gradient"] = np.asarray(field.gradient(queries, order=order, device=common.device))
-    summary = _summary(len(queries), started, common.device or "default")
+    summary = _summary(len(queries), asking.started, common.device or "default")
     summary["grid"] = field.info.name
     if values.ndim == 1:
         summary.update(spread("value", values))
@@ -215,8 +197,7 @@ def neighbors(
     found_points = _points(cloud, common, cloud in tables)
     query_points = found_points if queries is None else _points(queries, common, queries in tables)
     announce_compiling()
-    started = time.perf_counter()
-    with step(f"querying {cloud}", quiet=common.json):
+    with step(f"querying {cloud}", quiet=common.json) as asking:
         grid = NeighborGrid(found_points, None if nearest else radius, device=common.device)
         ragged: dict[str, Any] | None = None
         data: dict[str, Any] = {}
@@ -235,7 +216,7 @@ def neighbors(
             ragged = {"offsets": rows.offsets, "indices": rows.indices, "distance": rows.distance}
         else:
             counts = grid.count(query_points)
-    summary = _summary(len(query_points), started, grid.device)
+    summary = _summary(len(query_points), asking.started, grid.device)
     summary.update(
         cloud_points=len(found_points), radius=radius, neighbors=int(counts.sum()), **spread("count", counts)
     )

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from geokit.cli._kinds import Flag, called, in_unit, load_cloud, may_write, refuse_unused, require_kind
+from geokit.cli._kinds import Flag, called, load_cloud, may_write, refuse_unused, require_kind
 from geokit.cli._program.console import announce_compiling, step
-from geokit.cli._program.lengths import AnyLength, FromUnit, length_in, unit_of
+from geokit.cli._program.lengths import AnyLength, FromUnit, lengths_in, unit_of
 from geokit.cli._results import ASKING, Asking, Changed, Source, deliver_mesh
 
 __all__ = ["wrap"]
@@ -39,17 +39,17 @@ def wrap(
     may_write(target, "mesh", force=common.force)
     kind = require_kind(source, "mesh", "cloud")
     announce_compiling()
-    with step(f"reading {source}", quiet=common.json):
+    with step(f"reading {source}", quiet=common.json), called():
         if kind == "mesh":
             refuse_unused("on a mesh", columns=common.columns)
             found = mesh.load(source)
         else:
             points = load_cloud(source, common.finite_only, columns=common.columns).points
             found = mesh.TriangleMesh(points, np.repeat(np.arange(len(points))[:, None], 3, axis=1))
-        found = in_unit(found, source, from_unit=from_unit)
-    given, meters = {"tolerance": tolerance, "gap": gap}, found.meters_per_unit
-    how = {name: length_in(meters, one, name) for name, one in given.items() if one is not None}
-    with step("wrapping", quiet=common.json), called(("^mesh(?=:)", source), ("^(tolerance|gap)(?=:)", r"--\1")):
+        found = mesh.convert_unit(found, from_unit=from_unit)
+    meters = found.meters_per_unit
+    how = lengths_in(meters, tolerance=tolerance, gap=gap)
+    with step("wrapping", quiet=common.json), called(("^mesh(?=:)", source), ("^tolerance", "--tolerance")):
         made = mesh.wrap(found, **how, cavities=cavities, device=common.device)
     facts = made._asdict() | {"bridges": int(made.bridges.sum())}
     deliver_mesh(facts.pop("mesh"), target, common, **unit_of(meters), **facts)

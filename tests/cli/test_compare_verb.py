@@ -115,7 +115,7 @@ def test_the_page_has_a_map_a_histogram_and_the_numbers(geokit, scan: Path) -> N
 def test_errors_are_told(geokit, fails, scan: Path, tmp_path: Path) -> None:
     target = tmp_path / "out.csv"
     fails(geokit("compare", scan, DESIGN, tmp_path / "out.stl"), 1, ".stl", "not a result format", ".html")
-    fails(geokit("compare", scan, DESIGN, target, "--limit", "0"), 1, "--limit: 0.0 is not usable")
+    fails(geokit("compare", scan, DESIGN, target, "--limit", "0"), 2, "--limit: '0' is no length")
     fails(geokit("compare", scan, DESIGN, target, "--limit", "1mm"), 1, "--limit: 1mm has a unit", "--from-unit")
     fails(geokit("compare", DESIGN, scan, target), 1, f"{scan}: holds a cloud", "needs a mesh")
     (tmp_path / "two.csv").write_text("x,y,z\n1,0,0\n0,1,0\n")

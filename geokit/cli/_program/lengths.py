@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from typing import Annotated, Any, NamedTuple
 
@@ -9,7 +10,7 @@ from cyclopts import Parameter
 
 from geokit.errors import InputError
 
-__all__ = ["AnyLength", "FromUnit", "Places", "length_in", "unit_of"]
+__all__ = ["AnyLength", "FromUnit", "Places", "length_in", "lengths_in", "unit_of"]
 
 _LENGTH = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)\s*(\D*)", re.IGNORECASE)
 
@@ -21,10 +22,10 @@ class Length(NamedTuple):
     unit: str
 
 
-def _length(text: str) -> Length:
+def _length(text: str, low: float = 0.0) -> Length:
     found = _LENGTH.fullmatch(text.strip())
-    if found is None:
-        raise ValueError(f"{text!r} is no length; give a number, or one with its unit, as in 2mm")
+    if found is None or not low < float(found[1]) < math.inf:
+        raise ValueError(f"{text!r} is no length; give one as in 2, or with its unit as in 2mm")
     return Length(float(found[1]), found[2])
 
 
@@ -32,19 +33,19 @@ def _places(texts: list[str]) -> list[Length]:
     for text in texts:
         if text.count(",") != 2:
             raise ValueError(f"{text!r} is no place; give x, y and z with commas between, as in 20,0,-8")
-    return [_length(axis) for text in texts for axis in text.split(",")]
+    return [_length(axis, -math.inf) for text in texts for axis in text.split(",")]
 
 
 def _typed(read: Any, **options: Any) -> Parameter:
-    return Parameter(converter=lambda _, tokens: read(tokens), n_tokens=1, accepts_keys=False, **options)
+    def words(_: Any, tokens: Any) -> Any:
+        return read([token.value for token in tokens])
+
+    return Parameter(converter=words, n_tokens=1, accepts_keys=False, **options)
 
 
-AnyLength = Annotated[Length, _typed(lambda tokens: _length(tokens[0].value))]
-# Three lengths for each place.
-Places = Annotated[
-    list[Length],
-    _typed(lambda tokens: _places([token.value for token in tokens]), negative="", allow_leading_hyphen=True),
-]
+# Of sizes, which are above 0. Of places there are three for each.
+AnyLength = Annotated[Length, _typed(lambda texts: _length(texts[0]))]
+Places = Annotated[list[Length], _typed(_places, negative="", allow_leading_hyphen=True)]
 FromUnit = Annotated[str | None, Parameter(help="The unit of a file that does not say its own: mm, cm, m, in, ...")]
 
 
@@ -60,11 +61,14 @@ def length_in(meters: float | None, length: Length, option: str) -> float:
 
     unit = meters_in(length.unit, f"--{option}")
     if meters is None:
-        raise InputError(
-            f"--{option}: {length.number:g}{length.unit} has a unit, and the file does not say its own; give "
-            "--from-unit, or leave the unit out"
-        )
+        said = f"--{option}: {length.number:g}{length.unit} has a unit, and the file does not say its own"
+        raise InputError(f"{said}; give --from-unit, or leave the unit out")
     return length.number * (unit / meters)
+
+
+def lengths_in(meters: float | None, **given: Length | None) -> dict[str, float]:
+    """Those of some lengths that are given, by the names of their parameters."""
+    return {name: length_in(meters, one, name.replace("_", "-")) for name, one in given.items() if one is not None}
 
 
 def unit_of(meters: float | None) -> dict[str, str]:
