@@ -60,6 +60,10 @@ _OPTIONS = (
     (r"columns=\(([^)]*)\)", lambda found: "--columns " + re.sub("[' ]*,[' ]*", ",", found[1]).strip("'")),
     ("^columns:", "--columns:"),
 )
+_UNITS = (
+    ("^from_unit(?=:)|(?<=give )from_unit", "--from-unit"),
+    (r"mesh\.convert_unit(?= gives)", "geokit convert --unit"),
+)
 # Parts of USD's names for fields in .vdb files, which are compressed in .usdc.
 _VOLUMES = (b"OpenVDB", b"field:")
 
@@ -228,7 +232,7 @@ def called(*names: tuple[Any, Any]) -> Iterator[None]:
         yield
     except GeokitError as error:
         told = str(error)
-        for pattern, name in (*names, ("from_unit", "--from-unit"), (r"mesh\.convert_unit", "geokit convert --unit")):
+        for pattern, name in (*names, *_UNITS):
             told = re.sub(pattern, str(name).replace("\\", "\\\\") if isinstance(name, Path) else name, told)
         raise type(error)(told) from error
 

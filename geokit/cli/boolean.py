@@ -37,8 +37,10 @@ def _combining(name: str, least: int, text: str) -> None:
         names: list[Any] = [(rf"others\[{number}\]", source) for number, source in enumerate(sources[1:])]
         names += [("^mesh(?=:)|(?<= of )mesh(?=;)", sources[0])]
         names += [("; (repair|close) .*", "; geokit wrap makes a closed body of it")]
-        with step(f"combining {', '.join(map(str, sources))}", quiet=common.json), called(*names):
-            made = getattr(mesh, name)(*map(mesh.load, sources))
+        with step(f"combining {', '.join(map(str, sources))}", quiet=common.json):
+            meshes = [mesh.load(source) for source in sources]
+            with called(*names):
+                made = getattr(mesh, name)(*meshes)
         if not made.face_count:
             raise InputError(f"{target}: the {name} is empty; nothing is written")
         found, unit = mesh.audit(made), unit_of(made.meters_per_unit)

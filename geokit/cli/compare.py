@@ -57,7 +57,8 @@ def compare(
     kind = require_kind(scan, "mesh", "cloud")
     require_kind(design, "mesh")
     announce_compiling()
-    with step(f"reading {scan} and {design}", quiet=common.json), called(("SCAN", scan), ("DESIGN", design)):
+    names = ("^SCAN(?=:)", scan), ("(?<= of )DESIGN(?=;)", design)
+    with step(f"reading {scan} and {design}", quiet=common.json), called(*names):
         world = {"DESIGN": mesh.convert_unit(mesh.load(design), from_unit=from_unit)}
         if kind == "cloud":
             cloud = load_cloud(scan, common.finite_only, columns=common.columns)

@@ -56,12 +56,15 @@ def hollow(
     may_write(target, "mesh", force=common.force)
     require_kind(source, "mesh")
     announce_compiling()
-    with step(f"reading {source}", quiet=common.json), called():
-        part = mesh.convert_unit(mesh.load(source), from_unit=from_unit)
+    remedy = "; geokit wrap makes a closed body of it"
+    names = ("^.*(?=: its union)", source), ("(?<=: its union)(.*); repair .*", rf"\1{remedy}")
+    with step(f"reading {source}", quiet=common.json), called(*names):
+        # Walls are measured from what bounds the body: bodies that overlap count once.
+        part = mesh.union(mesh.convert_unit(mesh.load(source), from_unit=from_unit))
         audit = mesh.audit(part)
-    if not (audit.watertight and audit.oriented):
-        wrong = f"{audit.boundary_edge_count} edges are open" if audit.boundary_edge_count else "its faces do not agree"
-        raise InputError(f"{source}: is not closed: {wrong}; geokit wrap makes a closed body of it")
+    if not audit.watertight:
+        wrong = audit.boundary_edge_count + audit.non_manifold_edge_count
+        raise InputError(f"{source}: is not closed: {wrong} edges are not those of two faces{remedy}")
     meters = part.meters_per_unit
     sizes = lengths_in(meters, wall=wall, voxel_size=voxel_size, drain_radius=drain_radius)
     thick, radius = sizes["wall"], sizes.get("drain_radius", 0.0)
@@ -81,7 +84,8 @@ def hollow(
         places = np.reshape([length_in(meters, axis, "drain") for axis in drain or ()], (-1, 3))
         tubes = [_tube(place, surface, inner, thick, radius) for place in places]
         holes = [volume.from_mesh(tube, voxel, device=device) for tube in tubes]
-        made = mesh.from_volume(volume.difference(solid, cavity, *holes), method="dual_contouring", device=device)
+        grids = volume.difference(solid, cavity, *holes), solid
+        made, whole = (mesh.from_volume(grid, method="dual_contouring", device=device) for grid in grids)
         depth = -np.asarray(surface.signed_distance(made.vertices).distance)
         is_wall = depth > 0.5 * thick
         for tube in tubes:  # around a drain the depth is that of the hole
@@ -89,7 +93,7 @@ def hollow(
         closed = sum(piece.volume < 0.0 for piece in mesh.split(made))
     walls = spread("wall", depth[is_wall])
     facts = {"voxel_size": voxel, **{key: walls[key] for key in ("wall_min", "wall_max") if walls}}
-    facts |= {"material": made.volume / part.volume, "closed_cavities": closed}
+    facts |= {"material": made.volume / whole.volume, "closed_cavities": closed}
     deliver_mesh(made, target, common, **unit_of(meters), **facts)
 
 

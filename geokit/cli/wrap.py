@@ -49,7 +49,7 @@ def wrap(
         found = mesh.convert_unit(found, from_unit=from_unit)
     meters = found.meters_per_unit
     how = lengths_in(meters, tolerance=tolerance, gap=gap)
-    with step("wrapping", quiet=common.json), called(("^mesh(?=:)", source), ("^tolerance", "--tolerance")):
+    with step("wrapping", quiet=common.json), called(("^mesh(?=:)", source), ("^tolerance(?=:)", "--tolerance")):
         made = mesh.wrap(found, **how, cavities=cavities, device=common.device)
     facts = made._asdict() | {"bridges": int(made.bridges.sum())}
     deliver_mesh(facts.pop("mesh"), target, common, **unit_of(meters), **facts)

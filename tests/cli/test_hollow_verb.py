@@ -10,6 +10,7 @@ import pytest
 
 import geokit as gk
 from geokit import native
+from tests.support.assemblies import star
 
 pytestmark = pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
 
@@ -70,6 +71,18 @@ def test_lengths_have_units(geokit, tmp_path: Path) -> None:
     assert made.volume == pytest.approx(0.01 * 0.02 * 0.03 - inner - np.pi * 0.001**2 * 0.002, rel=0.01)
 
 
+@pytest.mark.parametrize("turned", [1, -1])
+def test_the_share_of_material_is_that_of_the_body(geokit, tmp_path: Path, turned: int) -> None:
+    boxes = [gk.mesh.box((10.0, 10.0, 10.0), center=(x, 0.0, 0.0)) for x in (0.0, 5.0)]
+    vertices, faces = np.concatenate([box.vertices for box in boxes]), [boxes[0].faces, boxes[1].faces + 8]
+    part = gk.mesh.TriangleMesh(vertices, np.concatenate(faces)[:, ::turned])
+    gk.mesh.save(tmp_path / "part.ply", part)
+    done = geokit("hollow", tmp_path / "part.ply", tmp_path / "out.ply", "--wall", "2", "--json")
+    found = json.loads(done.stdout)
+    assert found["material"] == pytest.approx(1.0 - 11.0 * 6.0 * 6.0 / 1500.0, rel=0.01)
+    assert (found["wall_min"], found["wall_max"]) == pytest.approx((2.0, 2.0), abs=0.15)
+
+
 def test_errors_are_told(geokit, fails, ball: Path, tmp_path: Path) -> None:
     target = tmp_path / "out.stl"
     fails(geokit("hollow", ball, target, "--wall", "2mm"), 1, "--wall: 2mm has a unit", "--from-unit")
@@ -84,10 +97,11 @@ def test_errors_are_told(geokit, fails, ball: Path, tmp_path: Path) -> None:
     gk.mesh.save(tmp_path / "rod.ply", gk.mesh.union(gk.mesh.load(ball), gk.mesh.cylinder(1.5, 40.0)))
     done = geokit("hollow", tmp_path / "rod.ply", target, *wall, "--drain", "0,0,20", "--drain-radius", "1")
     fails(done, 1, "--drain: 0,0,20 is 11.8", "away from the cavity")
-    shell = gk.sample_path("shell.stl")
-    fails(
-        geokit("hollow", shell, target, "--wall", "1"), 1, "shell.stl: is not closed: 96 edges are open", "geokit wrap"
-    )
+    words = ("shell.stl: is not closed: 96 edges are not those of two faces", "geokit wrap")
+    fails(geokit("hollow", gk.sample_path("shell.stl"), target, "--wall", "1"), 1, *words)
+    gk.mesh.save(tmp_path / "crossed.ply", star())
+    done = geokit("hollow", tmp_path / "crossed.ply", target, *wall)
+    fails(done, 1, f"{tmp_path / 'crossed.ply'}: its union is not right", "; geokit wrap makes a closed body")
     assert not target.exists()
     target.write_text("mine")
     fails(geokit("hollow", ball, target, "--wall", "2"), 1, "exists already")
