@@ -14,7 +14,7 @@ from cyclopts import Parameter
 
 from geokit.cli._program.console import note
 from geokit.core.files import extension, require_file
-from geokit.errors import FileFormatError, InputError
+from geokit.errors import GeokitError, InputError
 from geokit.formats.foreign import refuse_foreign, require_format
 from geokit.formats.table import FORMATS, SPARSE, STAGES, Content, image_module, module_of, volume_kind
 
@@ -23,11 +23,13 @@ if TYPE_CHECKING:
     from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = [
+    "Columns",
     "Device",
     "FiniteOnly",
     "Flag",
     "Kind",
     "UpAxis",
+    "called",
     "grid_names",
     "kind_of_input",
     "kind_of_output",
@@ -36,10 +38,13 @@ __all__ = [
     "load_rays",
     "may_write",
     "refuse_unused",
+    "require_kind",
 ]
 
 Kind = Literal["mesh", "volume", "cloud"]
 UpAxis = Annotated[Literal["x", "y", "z", "-x", "-y", "-z"], Parameter(allow_leading_hyphen=True)]
+_TABLE = "From a table of points (.csv .xyz .txt): names of the columns of x, y and z, as in east,north,up; by default "
+Columns = Annotated[str | None, Parameter(help=_TABLE + "their names tell.")]
 _FINITE = "Leave out points that are not finite, with a notice; --no-finite-only refuses such files."
 Flag = Annotated[bool, Parameter(negative="")]
 FiniteOnly = Annotated[bool, Parameter(negative="--no-finite-only", help=_FINITE)]
@@ -48,8 +53,17 @@ Device = Annotated[str | None, Parameter(help=_DEVICE)]
 
 # Headers of .ply end within this; the counts in a .vtp stand in its first element.
 _HEAD_BYTES = 1 << 16
-# How the library's messages name columns.
-_COLUMNS = re.compile(r"columns=\(([^)]*)\)")
+# How the library's messages name parameters of clouds, and how the user knows them.
+_OPTIONS = (
+    ("finite_only=True", "--finite-only"),
+    ("with grid=", "with --grid"),
+    (r"columns=\(([^)]*)\)", lambda found: "--columns " + re.sub("[' ]*,[' ]*", ",", found[1]).strip("'")),
+    ("^columns:", "--columns:"),
+)
+_UNITS = (
+    ("^from_unit(?=:)|(?<=give )from_unit", "--from-unit"),
+    (r"mesh\.convert_unit(?= gives)", "geokit convert --unit"),
+)
 # Parts of USD's names for fields in .vdb files, which are compressed in .usdc.
 _VOLUMES = (b"OpenVDB", b"field:")
 
@@ -70,7 +84,7 @@ def kind_of_input(path: Path, grid: str | None = None) -> Kind:
     require_file(path)
     if extension(path) not in FORMATS:
         refuse_foreign(path)
-    kind = _kind_of_extension(path)
+    kind = kind_of_output(path)
     if extension(path) == ".vdb":
         return "cloud" if _holds_points(path, grid) else "volume"
     if extension(path) in STAGES:
@@ -80,16 +94,24 @@ def kind_of_input(path: Path, grid: str | None = None) -> Kind:
     return "cloud" if kind == "mesh" and _lacks_faces(path) else kind
 
 
+def require_kind(path: Path, *wanted: Kind) -> Kind:
+    """Return the kind of an existing file, which has to be one of some.
+
+    Raises:
+        InputError: It is another one.
+    """
+    found, needed = kind_of_input(path), " or a ".join(wanted)
+    if found not in wanted:
+        raise InputError(f"{path}: holds a {found}, and this command needs a {needed}; geokit convert makes one of it")
+    return found
+
+
 def kind_of_output(path: Path) -> Kind:
     """Return the kind of file that a name stands for.
 
     Raises:
         InputError: The extension is unknown.
     """
-    return _kind_of_extension(path)
-
-
-def _kind_of_extension(path: Path) -> Kind:
     kind = extension(path)
     if kind not in FORMATS:
         listed = ", ".join(sorted(FORMATS))
@@ -174,7 +196,7 @@ def load_cloud(
     """
     from geokit.points._io import load_counted
 
-    with _options_named():
+    with called(*_OPTIONS):
         cloud, left_out = load_counted(path, grid=grid, columns=_split(columns), finite_only=finite_only)
     if left_out:
         total = left_out + len(cloud.points)
@@ -191,7 +213,7 @@ def load_rays(path: Path, columns: str | None = None) -> "Rays":
     """
     from geokit import points
 
-    with _options_named():
+    with called(*_OPTIONS):
         return points.load_rays(path, columns=_split(columns))
 
 
@@ -200,14 +222,19 @@ def _split(columns: str | None) -> list[str] | None:
 
 
 @contextlib.contextmanager
-def _options_named() -> Iterator[None]:
-    """Let the library's messages name options, which the user knows, and not its parameters."""
+def called(*names: tuple[Any, Any]) -> Iterator[None]:
+    """Let the library's messages name options and files, which the user knows, and not its parameters.
+
+    Args:
+        names: Regular expressions, and what is put in their place as by ``re.sub``, or a file.
+    """
     try:
         yield
-    except (FileFormatError, InputError) as error:
-        told = str(error).replace("finite_only=True", "--finite-only").replace("with grid=", "with --grid")
-        told = _COLUMNS.sub(lambda found: "--columns " + re.sub("[' ]*,[' ]*", ",", found[1]).strip("'"), told)
-        raise type(error)(re.sub("^columns:", "--columns:", told)) from error
+    except GeokitError as error:
+        told = str(error)
+        for pattern, name in (*names, *_UNITS):
+            told = re.sub(pattern, str(name).replace("\\", "\\\\") if isinstance(name, Path) else name, told)
+        raise type(error)(told) from error
 
 
 def grid_names(path: Path, name: str | None) -> list[str] | None:
@@ -248,8 +275,8 @@ def load_grid(
     from geokit.volume import inspect, load
     from geokit.volume.nanovdb.types import TYPES
 
-    try:
-        dense: Any = {"background": background, "tolerance": tolerance or 0.0}
+    dense: Any = {"background": background, "tolerance": tolerance or 0.0}
+    with called(_OPTIONS[1]):
         if as_floats and (volume_kind(path) or extension(path)) not in (*SPARSE, *STAGES):
             whole = {kind.name for kind in TYPES if kind.family in ("integer", "bool", "mask")}
             dense["grid_type"] = "float" if {one.grid_type for one in inspect(path)} <= whole else None
@@ -258,6 +285,3 @@ def load_grid(
             left_out = ", ".join(repr(one.name) for one in found if one.name != "density")
             note(f"{path}: has several grids, and 'density' is taken, without {left_out}; {remedy}")
         return volume
-    except InputError as error:
-        # The library's message names its parameter; the user knows the option.
-        raise InputError(str(error).replace("with grid=", "with --grid")) from error

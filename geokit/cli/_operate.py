@@ -10,29 +10,26 @@ from typing import TYPE_CHECKING, Any
 
 from cyclopts import CycloptsError, Parameter
 
-from geokit.cli._kinds import Flag, grid_names, kind_of_input, kind_of_output, load_grid, may_write
+from geokit.cli._kinds import grid_names, kind_of_output, load_grid, may_write, require_kind
 from geokit.cli._program.console import announce_compiling, print_json, say, step
+from geokit.cli._results import Common as Writing
 from geokit.errors import GeokitError, InputError
 
 if TYPE_CHECKING:
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["DEFAULTS", "REMEDY", "Common", "apply", "combine", "operation", "require_volume_file"]
+__all__ = ["DEFAULTS", "REMEDY", "Common", "apply", "combine", "operation"]
 
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class Common:
+class Common(Writing):
     """Options of all operations that write a volume."""
 
     grid: str | None = None
     """Name of the grid, if a file holds several; all for each of them."""
     codec: str | None = None
     """Compression: none, zip or blosc; by default blosc for .vdb and none for .nvdb."""
-    force: Flag = False
-    """Replace an existing output."""
-    json: Flag = False
-    """Print a summary as JSON."""
 
 
 DEFAULTS = Common()
@@ -76,7 +73,7 @@ def _run(
     from geokit.volume import save
 
     for source in sources:
-        require_volume_file(source)
+        require_kind(source, "volume")
     if kind_of_output(target) != "volume":
         raise InputError(f"{target}: operations give volumes; use .vdb or .nvdb, and geokit convert for other formats")
     may_write(target, "volume", force=common.force)
@@ -136,13 +133,3 @@ def _report(name: str, sources: tuple[Path, ...], target: Path, made: list[Spars
     size = " x ".join(f"{edge:.6g}" for edge in summary["voxel_size"])
     counts = " + ".join(str(count) for count in summary["active_voxels"])
     say(f"{target}: {summary['grid_type']}, {counts} active voxels of {size}, {summary['byte_count']} bytes")
-
-
-def require_volume_file(path: Path) -> None:
-    """Check that a file is a volume.
-
-    Raises:
-        InputError: The file does not have a volume's extension.
-    """
-    if kind_of_input(path) != "volume":
-        raise InputError(f"{path}: not a volume; give a .vdb or .nvdb file, or make one with geokit convert")

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from geokit.points._io import PointCloud
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["cloud_to_mesh", "cloud_to_volume", "mesh_to_cloud", "save_cloud"]
+__all__ = ["DEFAULT_COUNT", "cloud_to_mesh", "cloud_to_volume", "mesh_to_cloud", "save_cloud"]
 
 # Points on a mesh, if their number is not given.
 DEFAULT_COUNT = 100_000

@@ -12,10 +12,12 @@ from cyclopts import CycloptsError, Parameter
 
 from geokit.cli._batch import run_batch, targets_in
 from geokit.cli._kinds import (
+    Columns,
     Device,
     FiniteOnly,
     Flag,
     Kind,
+    called,
     grid_names,
     kind_of_input,
     kind_of_output,
@@ -26,6 +28,7 @@ from geokit.cli._kinds import (
 )
 from geokit.cli._points import cloud_to_mesh, cloud_to_volume, mesh_to_cloud, save_cloud
 from geokit.cli._program.console import announce_compiling, note, print_json, say, step
+from geokit.cli._results import described
 from geokit.cli._storage import Storage
 from geokit.core.files import atomic_path, extension, size_of
 from geokit.errors import InputError
@@ -75,7 +78,7 @@ def convert(
     up: str | None = None,
     from_unit: str | None = None,
     from_up: str | None = None,
-    columns: str | None = None,
+    columns: Columns = None,
     stream: Flag = False,
     normals: int | None = None,
     density: float | None = None,
@@ -129,8 +132,6 @@ def convert(
         up: From a mesh: the axis that points up in what is made, x, y or z; the mesh is turned by a quarter.
         from_unit: With unit, or to say it in the new file: the unit of a file that does not say its own.
         from_up: With up, or to say it in the new file: the axis that points up in a file that does not say its own.
-        columns: From a table of points (.csv .xyz .txt): names of the columns of x, y and z, as in east,north,up; by
-            default their names tell.
         stream: Read and write block after block, so that neither has to fit into memory: a closed mesh in a binary .stl
             or .ply to .nvdb with voxel-size, or a cloud in a binary .ply, .las or .laz to one of these, where
             voxel-size, normals and density are as they say. It takes as much as --memory-limit says, by default half of
@@ -152,7 +153,7 @@ def convert(
 
     if out_dir is not None:
         pairs = list(zip(files, targets_in(out_dir, files, to), strict=True))
-        return run_batch(work, pairs, 1 if jobs is None else jobs, _described, json=json)
+        return run_batch(work, pairs, 1 if jobs is None else jobs, described, json=json)
     for name, value in (("to", to), ("jobs", jobs)):
         if value is not None:
             raise InputError(f"--{name}: goes with --out-dir; leave it out, or give --out-dir")
@@ -163,15 +164,8 @@ def convert(
     if json:
         print_json(summary)
     else:
-        say(_described(summary))
+        say(described(summary))
     return 0
-
-
-def _described(summary: dict[str, Any]) -> str:
-    details = ", ".join(
-        f"{name} {_short(value)}" for name, value in summary.items() if name not in ("source", "target")
-    )
-    return f"{summary['target']}: {details}"
 
 
 @dataclass(frozen=True)
@@ -318,16 +312,9 @@ def _load_mesh(job: _Job) -> TriangleMesh:
     from geokit.mesh import convert_unit, load
 
     unit, up, from_unit, from_up = (job.options[name] for name in UNIT_OPTIONS)
-    mesh = load(job.source)
-    if (unit, up, from_unit, from_up) == (None, None, None, None):
-        return mesh
-    try:
-        return convert_unit(mesh, unit, up_axis=up, from_unit=from_unit, from_up_axis=from_up)
-    except InputError as error:
-        # The library's message names its parameters; the user knows the options.
-        told = str(error).replace("from_up_axis", "--from-up").replace("up_axis", "--up")
-        told = told.replace("from_unit", "--from-unit").replace("the mesh", str(job.source))
-        raise InputError(f"--{told}" if told.startswith("unit:") else told) from error
+    names = (("from_up_axis", "--from-up"), ("up_axis", "--up"), ("^unit", "--unit"), ("the mesh", job.source))
+    with called(*names):
+        return convert_unit(load(job.source), unit, up_axis=up, from_unit=from_unit, from_up_axis=from_up)
 
 
 def _mesh_to_mesh(job: _Job) -> dict[str, Any]:
@@ -431,11 +418,6 @@ def _streamed_cloud(job: _Job) -> dict[str, Any]:
     if found.left_out_count and not job.quiet:
         note(f"{job.source}: {found.left_out_count} of its {found.read_count} points are not finite and were left out")
     return {"points": found.written_count}
-
-
-def _short(value: Any) -> Any:
-    """A value for a line of text: no more digits than anyone reads."""
-    return f"{value:.6g}" if isinstance(value, float) else value
 
 
 def _rounded(length: float) -> float:

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import contextlib
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-from cyclopts import Parameter
-
-from geokit.cli._kinds import FiniteOnly, kind_of_input, load_cloud, refuse_unused
+from geokit.cli._kinds import Columns, FiniteOnly, Flag, kind_of_input, load_cloud, refuse_unused
 from geokit.cli._program.console import print_facts, print_json, step
 from geokit.core.files import extension, size_of
 from geokit.errors import GeokitError
@@ -17,13 +15,7 @@ __all__ = ["info"]
 
 
 def info(
-    file: Path,
-    /,
-    *,
-    finite_only: FiniteOnly = True,
-    columns: str | None = None,
-    stream: Annotated[bool, Parameter(negative="")] = False,
-    json: Annotated[bool, Parameter(negative="")] = False,
+    file: Path, /, *, finite_only: FiniteOnly = True, columns: Columns = None, stream: Flag = False, json: Flag = False
 ) -> None:
     """Describe a mesh, a volume or a point cloud.
 
@@ -33,7 +25,6 @@ def info(
     Args:
         file: A mesh (.obj .ply .stl .usd ...), a volume (.vdb .nvdb .nii .nrrd ...) or a point cloud (.csv .pcd .las
             ...).
-        columns: Of a table of points (.csv .xyz .txt): names of the columns of x, y and z, as in east,north,up.
         stream: Read a mesh in a binary .stl or .ply block after block, so that it need not fit into memory.
         json: Print JSON.
     """

@@ -4,99 +4,66 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from cyclopts import App, Parameter
 
-from geokit.cli._kinds import Device, Flag, may_write
+from geokit.cli._kinds import Device, may_write
 from geokit.cli._program.console import announce_compiling, print_json, say, step
+from geokit.cli._results import DEFAULTS, Changed, Common, Source, deliver_mesh
 from geokit.errors import InputError
 from geokit.formats.foreign import require_format
-
-if TYPE_CHECKING:
-    from geokit.mesh import TriangleMesh
 
 __all__ = ["app"]
 
 app = App(name="mesh", help="Make simple bodies; split, move and color meshes.")
 
-Source = Annotated[Path, Parameter(name="IN")]
-Target = Annotated[Path, Parameter(name="OUT")]
 Point = tuple[float, float, float]
-Changed = Annotated[Path, Parameter(name="OUT", help="The mesh to write.")]
-Body = Annotated[Path, Parameter(name="OUT", help="The file to write.")]
-Center = Annotated[Point, Parameter(help="Its middle.")]
+Target = Annotated[Path, Parameter(name="OUT")]
 
 
 @Parameter(name="*")
 @dataclass(frozen=True)
-class Common:
-    """Options of all commands."""
+class Placed(Common):
+    """Options of all simple bodies."""
 
-    force: Flag = False
-    """Replace an existing output."""
-    json: Flag = False
-    """Print a summary as JSON."""
+    center: Point = (0, 0, 0)
+    """Its middle; of a cone that between base and tip."""
 
 
-DEFAULTS = Common()
+PLACED = Placed()
 
 
-def _deliver(made: TriangleMesh, target: Path, common: Common) -> None:
-    """Write a mesh, and say what it is."""
-    from geokit.mesh import save
-
-    may_write(target, "mesh", force=common.force)
-    with step(f"writing {target}", quiet=common.json):
-        save(target, made)
-    summary: dict[str, Any] = {"target": str(target), "vertices": made.vertex_count, "faces": made.face_count}
-    if common.json:
-        print_json(summary)
-    else:
-        say(f"{target}: vertices {made.vertex_count}, faces {made.face_count}")
-
-
-def _write(target: Path, common: Common, body: str, *sizes: Any, **options: Any) -> None:
+def _write(target: Path, common: Placed, body: str, *sizes: Any, **options: Any) -> None:
     """Write a simple body of ``geokit.mesh``."""
     from geokit import mesh
 
-    _deliver(getattr(mesh, body)(*sizes, **options), target, common)
+    deliver_mesh(getattr(mesh, body)(*sizes, **options, center=common.center), target, common)
 
 
 @app.command
-def box(target: Body, /, *, size: Point, center: Center = (0, 0, 0), common: Common = DEFAULTS) -> None:
+def box(target: Changed, /, *, size: Point, common: Placed = PLACED) -> None:
     """Write a box along the axes.
 
     Args:
         size: Its lengths along x, y and z.
     """
-    _write(target, common, "box", size, center=center)
+    _write(target, common, "box", size)
 
 
 @app.command
-def sphere(
-    target: Body, /, *, radius: float, segments: int = 48, center: Center = (0, 0, 0), common: Common = DEFAULTS
-) -> None:
+def sphere(target: Changed, /, *, radius: float, segments: int = 48, common: Placed = PLACED) -> None:
     """Write a sphere.
 
     Args:
         radius: Its radius.
         segments: Triangles around it.
     """
-    _write(target, common, "sphere", radius, segments=segments, center=center)
+    _write(target, common, "sphere", radius, segments=segments)
 
 
 @app.command
-def cylinder(
-    target: Body,
-    /,
-    *,
-    radius: float,
-    height: float,
-    segments: int = 48,
-    center: Center = (0, 0, 0),
-    common: Common = DEFAULTS,
-) -> None:
+def cylinder(target: Changed, /, *, radius: float, height: float, segments: int = 48, common: Placed = PLACED) -> None:
     """Write a cylinder around z.
 
     Args:
@@ -104,42 +71,31 @@ def cylinder(
         height: Its length along z.
         segments: Quads around it.
     """
-    _write(target, common, "cylinder", radius, height, segments=segments, center=center)
+    _write(target, common, "cylinder", radius, height, segments=segments)
 
 
 @app.command
-def cone(
-    target: Body,
-    /,
-    *,
-    radius: float,
-    height: float,
-    segments: int = 48,
-    center: Point = (0, 0, 0),
-    common: Common = DEFAULTS,
-) -> None:
+def cone(target: Changed, /, *, radius: float, height: float, segments: int = 48, common: Placed = PLACED) -> None:
     """Write a cone around z, with its tip above.
 
     Args:
         radius: Radius of its base.
         height: Its length along z.
         segments: Triangles around it.
-        center: The middle between base and tip.
     """
-    _write(target, common, "cone", radius, height, segments=segments, center=center)
+    _write(target, common, "cone", radius, height, segments=segments)
 
 
 @app.command
 def torus(
-    target: Body,
+    target: Changed,
     /,
     *,
     radius: float,
     tube_radius: float,
     segments: int = 48,
     tube_segments: int = 24,
-    center: Center = (0, 0, 0),
-    common: Common = DEFAULTS,
+    common: Placed = PLACED,
 ) -> None:
     """Write a torus around z.
 
@@ -149,26 +105,18 @@ def torus(
         segments: Quads around the axis.
         tube_segments: Quads around the tube.
     """
-    _write(target, common, "torus", radius, tube_radius, segments=segments, tube_segments=tube_segments, center=center)
+    _write(target, common, "torus", radius, tube_radius, segments=segments, tube_segments=tube_segments)
 
 
 @app.command
-def plane(
-    target: Body,
-    /,
-    *,
-    size: tuple[float, float],
-    segments: int = 1,
-    center: Center = (0, 0, 0),
-    common: Common = DEFAULTS,
-) -> None:
+def plane(target: Changed, /, *, size: tuple[float, float], segments: int = 1, common: Placed = PLACED) -> None:
     """Write a rectangle that faces along z.
 
     Args:
         size: Its lengths along x and y.
         segments: Quads along each side.
     """
-    _write(target, common, "plane", size, segments=segments, center=center)
+    _write(target, common, "plane", size, segments=segments)
 
 
 @app.command
@@ -217,7 +165,7 @@ def keep_largest(
     may_write(target, "mesh", force=common.force)
     with step(f"splitting {source}", quiet=common.json):
         found = mesh.keep_largest(mesh.load(source), count, share=share)
-    _deliver(found, target, common)
+    deliver_mesh(found, target, common)
 
 
 @app.command
@@ -256,7 +204,7 @@ def transform(
         table = np.reshape(matrix, (4, 4))
     with step(f"reading {source}", quiet=common.json):
         found = mesh.load(source)
-    _deliver(mesh.transform(found, table), target, common)
+    deliver_mesh(mesh.transform(found, table), target, common)
 
 
 def _rotation(given: tuple[float, float, float, float] | None) -> Any:
@@ -298,4 +246,4 @@ def transfer(
     announce_compiling()
     with step(f"taking attributes from {other}", quiet=common.json):
         found = mesh.transfer_attributes(mesh.load(source), mesh.load(other), names=name, device=device)
-    _deliver(found, target, common)
+    deliver_mesh(found, target, common)

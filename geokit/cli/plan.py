@@ -7,9 +7,8 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from geokit.cli._kinds import Device, kind_of_input
+from geokit.cli._kinds import Device, require_kind
 from geokit.cli._program.console import announce_compiling, note, print_json, print_table, step
-from geokit.errors import InputError
 
 __all__ = ["plan"]
 
@@ -49,8 +48,7 @@ def plan(
         interior: What happens to surface inside of solids: remove, or keep.
         json: Print JSON.
     """
-    if kind_of_input(file) != "mesh":
-        raise InputError(f"{file}: not a mesh; plans are made for distance fields of meshes")
+    require_kind(file, "mesh")
     from geokit.mesh import load
     from geokit.volume import plan as make_plan
 

@@ -10,41 +10,23 @@ from typing import Annotated, Any
 import numpy as np
 from cyclopts import App, Parameter
 
-from geokit.cli._kinds import Device, FiniteOnly, Flag, kind_of_input, load_cloud, load_grid, load_rays
+from geokit.cli._kinds import Device, Flag, load_cloud, load_grid, load_rays, require_kind
 from geokit.cli._program.console import announce_compiling, step
-from geokit.cli._results import OUTPUT_EXTENSIONS, check_output, deliver
+from geokit.cli._results import ASKING, DEFAULTS, OUTPUT_EXTENSIONS, Asking, Common, check_output, deliver, spread
 from geokit.core.files import extension
-from geokit.errors import InputError
 from geokit.formats.table import with_formats
 
 __all__ = ["app"]
 
 app = App(name="query", help="Find closest points, signed distances, ray hits, samples or neighbors.")
 
-# What a summary says of the distribution; half of the values are below the 50th.
-PERCENTILES = (5, 50, 95)
-
-Force = Annotated[bool, Parameter(negative="", help="Replace an existing output.")]
-Json = Annotated[bool, Parameter(negative="", help="Print the summary as JSON.")]
-_TABLE = "From a table of points (.csv .xyz .txt): names of the columns of x, y and z, as in east,north,up; by default "
-Columns = Annotated[str | None, Parameter(help=_TABLE + "their names tell.")]
 Output = Annotated[Path | None, Parameter(name=["--output", "-o"], allow_leading_hyphen=True)]
 
 
 @app.command
 @with_formats("points", "r", outputs=OUTPUT_EXTENSIONS)
 def closest(
-    mesh: Path,
-    points: Path,
-    /,
-    *,
-    output: Output = None,
-    max_distance: float = math.inf,
-    device: Device = None,
-    finite_only: FiniteOnly = True,
-    columns: Columns = None,
-    force: Force = False,
-    json: Json = False,
+    mesh: Path, points: Path, /, *, output: Output = None, max_distance: float = math.inf, common: Asking = ASKING
 ) -> None:
     """Find the closest point on a mesh for each point.
 
@@ -54,32 +36,19 @@ def closest(
         output: {outputs}, or - for CSV on stdout; by default only a summary is printed.
         max_distance: Search radius in world units; farther points are misses (triangle_id -1).
     """
-    check_output(output, force=force)
-    surface, queries = _surface(mesh, device, json), _points(points, finite_only, columns)
-    started = time.perf_counter()
-    with step(f"querying {mesh}", quiet=json) as asking:
+    check_output(output, force=common.force)
+    surface, queries = _surface(mesh, common.device, common), _points(points, common)
+    with step(f"querying {mesh}", quiet=common.json) as asking:
         found = surface.closest_point(queries, max_distance=max_distance, progress=asking.progress)
-    summary = _summary(len(queries), started, surface.device)
+    summary = _summary(len(queries), asking.started, surface.device)
     hits = found.triangle_id >= 0
-    summary.update(hits=int(hits.sum()), **_spread("distance", found.distance[hits]))
-    deliver(queries, _closest(found), summary, output, json=json)
+    summary.update(hits=int(hits.sum()), **spread("distance", found.distance[hits]))
+    deliver(queries, _closest(found), summary, output, json=common.json)
 
 
 @app.command
 @with_formats("points", "r", outputs=OUTPUT_EXTENSIONS)
-def signed(
-    mesh: Path,
-    points: Path,
-    /,
-    *,
-    output: Output = None,
-    sign: str = "auto",
-    device: Device = None,
-    finite_only: FiniteOnly = True,
-    columns: Columns = None,
-    force: Force = False,
-    json: Json = False,
-) -> None:
+def signed(mesh: Path, points: Path, /, *, output: Output = None, sign: str = "auto", common: Asking = ASKING) -> None:
     """Compute the signed distance of each point to a mesh, negative inside.
 
     Args:
@@ -89,19 +58,18 @@ def signed(
         sign: Method that decides the sign: auto (by default; sheets, which enclose nothing, have theirs by the normals
             of their faces), pseudonormal, winding or parity.
     """
-    check_output(output, force=force)
-    surface, queries = _surface(mesh, device, json), _points(points, finite_only, columns)
-    started = time.perf_counter()
-    with step(f"querying {mesh}", quiet=json) as asking:
+    check_output(output, force=common.force)
+    surface, queries = _surface(mesh, common.device, common), _points(points, common)
+    with step(f"querying {mesh}", quiet=common.json) as asking:
         found = surface.signed_distance(queries, sign=sign, progress=asking.progress)
-    summary = _summary(len(queries), started, surface.device)
+    summary = _summary(len(queries), asking.started, surface.device)
     summary.update(
         sign_method=surface.sign_method if sign == "auto" else sign,
         sign_reason=surface.sign_reason if sign == "auto" else "asked for",
         inside=int((found.distance < 0).sum()),
-        **_spread("distance", found.distance),
+        **spread("distance", found.distance),
     )
-    deliver(queries, _closest(found), summary, output, json=json)
+    deliver(queries, _closest(found), summary, output, json=common.json)
 
 
 @app.command
@@ -115,8 +83,7 @@ def ray(
     max_distance: float = math.inf,
     device: Device = None,
     columns: str | None = None,
-    force: Force = False,
-    json: Json = False,
+    common: Common = DEFAULTS,
 ) -> None:
     """Find the first hit of each ray on a mesh.
 
@@ -128,16 +95,15 @@ def ray(
         columns: From a table (.csv .xyz .txt): names of the six columns, origins first, as in px,py,pz,vx,vy,vz; by
             default their names tell.
     """
-    check_output(output, force=force)
-    surface = _surface(mesh, device, json)
+    check_output(output, force=common.force)
+    surface = _surface(mesh, device, common)
     origins, directions = load_rays(rays, columns)
     announce_compiling()
-    started = time.perf_counter()
-    with step(f"querying {mesh}", quiet=json) as asking:
+    with step(f"querying {mesh}", quiet=common.json) as asking:
         found = surface.raycast(origins, directions, max_distance=max_distance, progress=asking.progress)
-    summary = _summary(len(origins), started, surface.device)
+    summary = _summary(len(origins), asking.started, surface.device)
     hits = found.triangle_id >= 0
-    summary.update(hits=int(hits.sum()), **_spread("t", found.t[hits]))
+    summary.update(hits=int(hits.sum()), **spread("t", found.t[hits]))
     # Hits only: on misses t is inf, and inf * 0 would raise a warning.
     positions = np.full(origins.shape, np.nan)
     positions[hits] = origins[hits] + found.t[hits, None] * directions[hits]
@@ -148,7 +114,7 @@ def ray(
         "triangle_id": found.triangle_id,
         "barycentric": found.barycentric,
     }
-    deliver(origins, data, summary, output, json=json)
+    deliver(origins, data, summary, output, json=common.json)
 
 
 @app.command
@@ -162,11 +128,7 @@ def sample(
     grid: str | None = None,
     order: int = 1,
     gradient: Flag = False,
-    device: Device = None,
-    finite_only: FiniteOnly = True,
-    columns: Columns = None,
-    force: Force = False,
-    json: Json = False,
+    common: Asking = ASKING,
 ) -> None:
     """Sample a volume at each point.
 
@@ -178,23 +140,22 @@ def sample(
         order: Interpolation: 0 nearest voxel, 1 trilinear.
         gradient: Also write the gradient.
     """
-    check_output(output, force=force)
-    _require_kind(volume, "volume")
-    field, queries = load_grid(volume, grid), _points(points, finite_only, columns)
+    check_output(output, force=common.force)
+    require_kind(volume, "volume")
+    field, queries = load_grid(volume, grid), _points(points, common)
     announce_compiling()
-    started = time.perf_counter()
-    with step(f"querying {volume}", quiet=json):
-        values = np.asarray(field.sample(queries, order=order, device=device))
+    with step(f"querying {volume}", quiet=common.json) as asking:
+        values = np.asarray(field.sample(queries, order=order, device=common.device))
         data = {"value": values}
         if gradient:
-            data["gradient"] = np.asarray(field.gradient(queries, order=order, device=device))
-    summary = _summary(len(queries), started, device or "default")
+            data["gradient"] = np.asarray(field.gradient(queries, order=order, device=common.device))
+    summary = _summary(len(queries), asking.started, common.device or "default")
     summary["grid"] = field.info.name
     if values.ndim == 1:
-        summary.update(_spread("value", values))
+        summary.update(spread("value", values))
     else:
-        summary.update(_spread("length", np.linalg.norm(values, axis=1)))
-    deliver(queries, data, summary, output, json=json)
+        summary.update(spread("length", np.linalg.norm(values, axis=1)))
+    deliver(queries, data, summary, output, json=common.json)
 
 
 @app.command
@@ -207,11 +168,7 @@ def neighbors(
     radius: float | None = None,
     nearest: int | None = None,
     output: Output = None,
-    device: Device = None,
-    finite_only: FiniteOnly = True,
-    columns: Columns = None,
-    force: Force = False,
-    json: Json = False,
+    common: Asking = ASKING,
 ) -> None:
     """Find the points of a cloud within a radius of each query, the nearest ones, or the nearest within a radius.
 
@@ -234,17 +191,14 @@ def neighbors(
 
         raise CycloptsError(msg="neither --radius nor --nearest is given; give one of them, or both")
 
-    check_output(output, force=force)
+    check_output(output, force=common.force)
     # The names may be those of one table, beside a file that says itself what its coordinates are.
     tables = [path for path in (cloud, queries) if path is not None and extension(path) in TABLES] or [cloud]
-    found_points = _points(cloud, finite_only, columns if cloud in tables else None)
-    query_points = (
-        found_points if queries is None else _points(queries, finite_only, columns if queries in tables else None)
-    )
+    found_points = _points(cloud, common, cloud in tables)
+    query_points = found_points if queries is None else _points(queries, common, queries in tables)
     announce_compiling()
-    started = time.perf_counter()
-    with step(f"querying {cloud}", quiet=json):
-        grid = NeighborGrid(found_points, None if nearest else radius, device=device)
+    with step(f"querying {cloud}", quiet=common.json) as asking:
+        grid = NeighborGrid(found_points, None if nearest else radius, device=common.device)
         ragged: dict[str, Any] | None = None
         data: dict[str, Any] = {}
         if nearest is not None:
@@ -262,30 +216,25 @@ def neighbors(
             ragged = {"offsets": rows.offsets, "indices": rows.indices, "distance": rows.distance}
         else:
             counts = grid.count(query_points)
-    summary = _summary(len(query_points), started, grid.device)
+    summary = _summary(len(query_points), asking.started, grid.device)
     summary.update(
-        cloud_points=len(found_points), radius=radius, neighbors=int(counts.sum()), **_spread("count", counts)
+        cloud_points=len(found_points), radius=radius, neighbors=int(counts.sum()), **spread("count", counts)
     )
-    deliver(query_points, {"count": counts, **data}, summary, output, json=json, ragged=ragged)
+    deliver(query_points, {"count": counts, **data}, summary, output, json=common.json, ragged=ragged)
 
 
-def _surface(path: Path, device: str | None, json: bool) -> Any:
-    _require_kind(path, "mesh")
+def _surface(path: Path, device: str | None, common: Common) -> Any:
+    require_kind(path, "mesh")
     from geokit.mesh import Surface, load
 
     announce_compiling()
-    with step(f"reading {path}", quiet=json):
+    with step(f"reading {path}", quiet=common.json):
         return Surface(load(path), device=device)
 
 
-def _points(path: Path, finite_only: bool, columns: str | None) -> np.ndarray:
-    return np.asarray(load_cloud(path, finite_only, columns=columns).points, dtype=np.float64)
-
-
-def _require_kind(path: Path, wanted: str) -> None:
-    found = kind_of_input(path)
-    if found != wanted:
-        raise InputError(f"{path}: holds a {found}, and this query needs a {wanted}")
+def _points(path: Path, common: Asking, is_table: bool = True) -> np.ndarray:
+    cloud = load_cloud(path, common.finite_only, columns=common.columns if is_table else None)
+    return np.asarray(cloud.points, dtype=np.float64)
 
 
 def _closest(found: Any) -> dict[str, Any]:
@@ -300,17 +249,3 @@ def _closest(found: Any) -> dict[str, Any]:
 def _summary(count: int, started: float, device: str) -> dict[str, Any]:
     seconds = time.perf_counter() - started
     return {"queries": count, "seconds": round(seconds, 4), "device": device}
-
-
-def _spread(name: str, values: np.ndarray) -> dict[str, float]:
-    finite = values[np.isfinite(values)]
-    if finite.size == 0:
-        return {}
-    return {
-        f"{name}_min": float(finite.min()),
-        f"{name}_mean": float(finite.mean()),
-        f"{name}_max": float(finite.max()),
-        f"{name}_std": float(finite.std()),
-        f"{name}_rms": float(np.sqrt(np.mean(np.square(finite, dtype=np.float64)))),
-        **{f"{name}_p{percent}": float(np.percentile(finite, percent)) for percent in PERCENTILES},
-    }

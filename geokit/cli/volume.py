@@ -7,8 +7,8 @@ from typing import Annotated
 
 from cyclopts import App, Parameter
 
-from geokit.cli._kinds import Device, grid_names, load_grid
-from geokit.cli._operate import DEFAULTS, REMEDY, Common, Flag, apply, combine, operation, require_volume_file
+from geokit.cli._kinds import Device, Flag, grid_names, load_grid, require_kind
+from geokit.cli._operate import DEFAULTS, REMEDY, Common, apply, combine, operation
 from geokit.cli._program.console import print_facts, print_json
 
 __all__ = ["app"]
@@ -137,7 +137,7 @@ def resample(
     if like is not None:
         from geokit.volume import inspect
 
-        require_volume_file(like)
+        require_kind(like, "volume")
         transform = inspect(like)[0].transform
     apply("resample", source, target, common, voxel_size=voxel_size, transform=transform, order=order, device=device)
 
@@ -202,7 +202,7 @@ def statistics(source: Source, /, *, grid: str | None = None, json: Flag = False
         grid: Name of the grid, if the file holds several; all for each of them, as a list in JSON.
         json: Print JSON.
     """
-    require_volume_file(source)
+    require_kind(source, "volume")
     names, reports = grid_names(source, grid), []
     for name in [grid] if names is None else names:
         volume = load_grid(source, name, remedy=REMEDY)

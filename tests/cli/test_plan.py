@@ -39,6 +39,6 @@ def test_a_table_for_people(geokit, cube: Path) -> None:
 
 
 def test_refusals(geokit, fails, cube: Path, cube_sdf: Path) -> None:
-    fails(geokit("plan", cube_sdf, "--tolerance", "0.1"), 1, "not a mesh")
+    fails(geokit("plan", cube_sdf, "--tolerance", "0.1"), 1, "needs a mesh")
     fails(geokit("plan", cube, "--tolerance", "0"), 1, "tolerance")
     fails(geokit("plan", cube), 2, "tolerance")

@@ -135,7 +135,7 @@ def test_refusals(geokit, fails, bodies, cube: Path, tmp_path: Path) -> None:
     target = tmp_path / "out.vdb"
     fails(geokit("volume", "union", bodies[0], target), 2, "two to read")
     fails(geokit("volume", "offset", bodies[0], target, "--distance", "inf"), 1, "distance")
-    fails(geokit("volume", "offset", cube, target, "--distance", "1"), 1, "cube.obj", "not a volume")
+    fails(geokit("volume", "offset", cube, target, "--distance", "1"), 1, "cube.obj", "needs a volume; geokit convert")
     fails(geokit("volume", "prune", bodies[0], tmp_path / "out.ply"), 1, "out.ply", ".vdb")
     fails(geokit("volume", "prune", bodies[0], target, "--grid", "smoke"), 1, "smoke")
     fails(geokit("volume", "erode", bodies[0], tmp_path / "no" / "out.vdb", "--distance", "0.1"), 1, "does not exist")

@@ -417,7 +417,11 @@ def _inputs() -> None:
     Path("fields.toml").write_text('[[step]]\nverb = "convert"\noutput = "{stem}.nvdb"\nvoxel-size = 0.02\n')
     Path("smoke.vdb").write_bytes((ROOT / "data/samples/smoke.vdb").read_bytes())
     points = random.random((50, 3)) * 0.2 - 0.1
-    gk.mesh.save("scan.ply", gk.mesh.TriangleMesh(ring.vertices * 0.1, ring.faces))
+    for name in ("scan.ply", "design.stl"):
+        gk.mesh.save(name, gk.mesh.TriangleMesh(ring.vertices * 0.1, ring.faces))
+    box = gk.mesh.box((20.0, 20.0, 20.0))
+    gk.mesh.save("part.3mf", gk.mesh.TriangleMesh(box.vertices, box.faces, meters_per_unit=0.001))
+    gk.mesh.save("ring.stl", gk.mesh.torus(20.0, 8.0))
     for name in ("points.csv", "cloud.ply", "survey.ply"):
         gk.points.save(name, points)
     np.save("points.npy", points)
@@ -427,6 +431,7 @@ def _inputs() -> None:
     for at, name in enumerate(("a.vdb", "b.vdb", "c.vdb", "body.vdb", "tool.vdb", "in.vdb", "other.nvdb")):
         moved = gk.mesh.TriangleMesh(ring.vertices + np.array([0.1 * at, 0.0, 0.0]), ring.faces)
         gk.volume.save(name, gk.volume.from_mesh(moved, 0.05, device="cpu"))
+        gk.mesh.save(Path(name).with_suffix(".stl"), moved)
 
 
 class TestNamesThatATerminalObeys:

@@ -10,7 +10,7 @@ from typing import Any
 
 from geokit.core.files import atomic_path
 
-__all__ = ["totals", "write_report"]
+__all__ = ["table", "totals", "write_page", "write_report"]
 
 # Rows of the tables of failures and of slow files; the manifest has all.
 MOST = 200
@@ -47,25 +47,30 @@ def write_report(records: Mapping[str, Mapping[str, Any]], recipe: str, path: Pa
             hosts.setdefault(record["host"], []).append(record["seconds"])
     error_rows = [(record["input"], record["status"], record["error"]["message"]) for record in failed[:MOST]]
     parts = [
-        "<h1>Batch</h1>",
-        _table(("", ""), [(name.replace("_", " "), value) for name, value in totals(records).items()]),
+        table(("", ""), [(name.replace("_", " "), value) for name, value in totals(records).items()]),
         f"<h2>Failures</h2><p>{len(failed)}{f', of which {MOST} are shown' if len(failed) > MOST else ''}</p>",
-        _table(("input", "", "error"), error_rows),
+        table(("input", "", "error"), error_rows),
         "<h2>Slowest files</h2>",
-        _table(
+        table(
             ("input", "seconds", "peak MiB"),
             [(r["input"], r.get("seconds", 0.0), r.get("peak_bytes", 0) >> 20) for r in slowest],
         ),
         "<h2>Machines</h2>",
-        _table(("host", "files", "seconds"), [(h, len(s), round(sum(s), 2)) for h, s in sorted(hosts.items())]),
+        table(("host", "files", "seconds"), [(h, len(s), round(sum(s), 2)) for h, s in sorted(hosts.items())]),
         f"<h2>Recipe</h2><pre>{escape(recipe)}</pre>",
     ]
-    page = f"<!doctype html><meta charset=utf-8><title>Batch</title><style>{STYLE}</style>{''.join(parts)}\n"
+    write_page(path, "Batch", "".join(parts))
+
+
+def write_page(path: Path, title: str, body: str) -> None:
+    """Write a page with a title above its body."""
+    title = escape(title)
+    page = f"<!doctype html><meta charset=utf-8><title>{title}</title><style>{STYLE}</style><h1>{title}</h1>{body}\n"
     with atomic_path(path) as part:
         part.write_text(page, encoding="utf-8", errors="replace")
 
 
-def _table(heads: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+def table(heads: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     lines = [
         "<tr>" + "".join(f"<td{' class=n' * (not isinstance(cell, str))}>{_shown(cell)}</td>" for cell in row) + "</tr>"
         for row in rows

@@ -14,6 +14,10 @@ __all__ = ["GROUPS", "VERBS", "build_app", "build_commands"]
 VERBS = {
     "info": "Describe a mesh, a volume or a point cloud.",
     "convert": "Convert between mesh formats, volume formats, and from one to the other.",
+    "wrap": "Make a closed mesh around anything: holes, loose triangles, sheets, points.",
+    "boolean": "Unite, subtract or intersect closed meshes.",
+    "hollow": "Hollow a closed part: walls of one thickness, measured, and holes to drain it.",
+    "compare": "Measure how far a scan is from its design: numbers, a page with a map, or a file of deviations.",
     "query": "Find closest points, signed distances, ray hits, samples or neighbors.",
     "mesh": "Make simple bodies; split, move and color meshes.",
     "volume": "Combine, offset, smooth, resample, differentiate, segment and measure volumes.",
@@ -27,7 +31,7 @@ VERBS = {
     "demo": "Run the whole chain on a real mesh; write files, figures and a table of accuracy and speed.",
 }
 # Verbs whose module defines subcommands.
-GROUPS = ("query", "mesh", "volume")
+GROUPS = ("query", "mesh", "boolean", "volume")
 
 
 def build_commands() -> App:

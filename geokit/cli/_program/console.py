@@ -14,7 +14,7 @@ from typing import Any
 
 from geokit.core.base.printable import printable
 
-__all__ = ["announce_compiling", "at_end", "note", "print_facts", "print_json", "print_table", "say", "step"]
+__all__ = ["announce_compiling", "at_end", "note", "print_facts", "print_json", "print_table", "say", "shown", "step"]
 
 # What a command sets in its process for as long as it runs: undone when it ends, since others may run in that process.
 at_end = contextlib.ExitStack()
@@ -74,10 +74,10 @@ def print_facts(facts: dict[str, Any], *, indent: str = "") -> None:
     """Print names and values in two columns."""
     width = max((len(name) for name in facts), default=0)
     for name, value in facts.items():
-        say(f"{indent}{name:<{width}}  {_shown(value)}")
+        say(f"{indent}{name:<{width}}  {shown(value)}")
 
 
-def _shown(value: Any, digits: int = 6) -> str:
+def shown(value: Any, digits: int = 6) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, int):
@@ -85,9 +85,9 @@ def _shown(value: Any, digits: int = 6) -> str:
     if isinstance(value, float):
         return f"{value:.{digits}g}"
     if hasattr(value, "tolist"):
-        return _shown(value.tolist(), _digits(value))
+        return shown(value.tolist(), _digits(value))
     if isinstance(value, (list, tuple)):
-        return "(" + ", ".join(_shown(item, digits) for item in value) + ")"
+        return "(" + ", ".join(shown(item, digits) for item in value) + ")"
     return "none" if value is None else printable(str(value))
 
 
@@ -113,7 +113,7 @@ def print_table(columns: Sequence[str], rows: Sequence[Sequence[Any]], *, title:
         numeric = all(isinstance(row[index], (int, float)) or row[index] in ("", "-") for row in rows)
         table.add_column(column, justify="right" if numeric and rows else "left", no_wrap=True)
     for row in rows:
-        table.add_row(*[Text(_shown(cell)) for cell in row])
+        table.add_row(*[Text(shown(cell)) for cell in row])
     # A pipe or a file has no line width, so rows must not be wrapped.
     console = Console() if sys.stdout.isatty() else Console(width=10_000, color_system=None)
     console.print(table)

@@ -58,6 +58,16 @@ geokit mesh split bunny.usd pieces.ply
 geokit mesh keep-largest hollow.stl clean.stl
 geokit mesh transform ball.ply moved.ply --scale 0.001 --rotate 1 0 0 90 --move 0 0 5
 geokit mesh transfer ball.ply bunny.usd painted.vtp --name color
+geokit wrap scan.ply solid.3mf --tolerance 5mm --gap 20mm --from-unit m
+geokit wrap cloud.ply skin.ply --tolerance 0.02 --cavities
+geokit boolean union a.stl b.stl c.stl union.stl
+geokit boolean difference body.stl tool.stl cut.stl
+geokit boolean intersection a.stl b.stl common.stl
+geokit hollow part.3mf hollow.3mf --wall 2mm
+geokit hollow ring.stl drained.stl --wall 3 --voxel-size 1 --drain 20,0,-8 --drain -20,0,-8 --drain-radius 1.5
+geokit compare scan.ply design.stl
+geokit compare scan.ply design.stl report.html --align --limit 0.1mm --from-unit mm
+geokit compare scan.ply design.stl deviation.csv
 geokit query closest   bunny.usd points.csv -o closest.vtp
 geokit query signed    bunny.usd points.npy -o distances.npz
 geokit query ray       bunny.usd rays.csv   -o hits.csv

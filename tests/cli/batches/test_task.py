@@ -11,14 +11,15 @@ from pathlib import Path
 
 import pytest
 
+from geokit import native
 from geokit.cli._batches import task
 from geokit.cli._batches.recipe import read_recipe
 from geokit.cli._batches.task import DONE, OUTPUTS, RECORD, WORK, key_of, run_task
 from geokit.cli._batches.worker import versions
 from geokit.core.base.private_folder import LOCK
-from geokit.errors import WorkerError
+from geokit.errors import InputError, WorkerError
 from geokit.formats.reader import server
-from geokit.mesh import load
+from geokit.mesh import box, load, save
 
 RECIPE = '[[step]]\nverb = "convert"\noutput = "{stem}.off"\n'
 TWO = (
@@ -212,3 +213,62 @@ def test_a_recipe_in_a_folder_with_braces(corners, staging: Path, tmp_path: Path
     record = run_task(list(read_recipe(recipe).steps), str(source), staging)
     assert record["status"] == "done", record
     assert [output["name"] for output in record["outputs"]] == ["{0}.off"]
+
+
+TRADES = """\
+[[step]]
+verb = "wrap"
+output = "{stem}-wrap.ply"
+tolerance = 0.05
+gap = "200mm"
+from-unit = "m"
+device = "cpu"
+
+[[step]]
+verb = "boolean union"
+files = ["{previous}", "tool.obj"]
+output = "{stem}-union.ply"
+
+[[step]]
+verb = "hollow"
+output = "{stem}-hollow.ply"
+wall = 0.1
+drain = ["-0.02,0.25,0.25", "0.25,-0.02,0.25"]
+drain-radius = 0.04
+device = "cpu"
+
+[[step]]
+verb = "compare"
+files = ["{input}", "{step2}"]
+limit = 0.05
+device = "cpu"
+
+[[step]]
+verb = "compare"
+files = ["{input}", "{step2}"]
+output = "{stem}.csv"
+"""
+
+
+@pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
+def test_trades_are_steps(corners, recipe: Path, staging: Path) -> None:
+    (source,) = corners(1)
+    save(recipe.with_name("tool.obj"), box((0.15, 0.15, 0.15), center=(1.0, 0.0, 0.0)))
+    recipe.write_text(TRADES)
+    record = run_task(list(read_recipe(recipe).steps), str(source), staging)
+    assert record["status"] == "done", record
+    wrapped, united, hollow, compared, written = (step["summary"] for step in record["steps"])
+    assert wrapped["deviation"] <= 0.05
+    assert 1 / 6 < united["volume"] < 1 / 3
+    assert hollow["closed_cavities"] == 0
+    assert -0.05 < compared["deviation_max"] < 0.0  # all of the input lies inside of its wrap
+    assert compared["beyond_limit"] > 0.0  # and deep inside of the tool
+    assert written["output"] == "corner000.csv"
+    assert [each["name"][9:] for each in record["outputs"]] == ["-hollow.ply", "-union.ply", "-wrap.ply", ".csv"]
+
+
+def test_lengths_are_checked_before_a_file_is_read(corners, recipe: Path) -> None:
+    corners(1)
+    recipe.write_text(TRADES.partition("\n\n")[0].replace("200mm", "wide"))
+    with pytest.raises(InputError, match=r"recipe.toml:5: step 1 \(wrap\): gap: .*'wide' is no length"):
+        read_recipe(recipe)
