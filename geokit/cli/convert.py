@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from cyclopts import CycloptsError, Parameter
 
-from geokit.cli._batch import run_batch, targets_in
+from geokit.cli._batches.many_files import run_batch, targets_in
 from geokit.cli._kinds import (
     Columns,
     Device,

@@ -64,7 +64,9 @@ def hollow(
         audit = mesh.audit(part)
     if not audit.watertight:
         wrong = audit.boundary_edge_count + audit.non_manifold_edge_count
-        raise InputError(f"{source}: is not closed: {wrong} edges are not those of two faces{remedy}")
+        raise InputError(
+            f"{source}: is not closed: {wrong} edges are not those of two faces; geokit repair fills holes{remedy}"
+        )
     meters = part.meters_per_unit
     sizes = lengths_in(meters, wall=wall, voxel_size=voxel_size, drain_radius=drain_radius)
     thick, radius = sizes["wall"], sizes.get("drain_radius", 0.0)

@@ -14,6 +14,7 @@ __all__ = ["GROUPS", "VERBS", "build_app", "build_commands"]
 VERBS = {
     "info": "Describe a mesh, a volume or a point cloud.",
     "convert": "Convert between mesh formats, volume formats, and from one to the other.",
+    "repair": "Merge vertices, wind faces alike, fill holes; say what was done.",
     "wrap": "Make a closed mesh around anything: holes, loose triangles, sheets, points.",
     "boolean": "Unite, subtract or intersect closed meshes.",
     "hollow": "Hollow a closed part: walls of one thickness, measured, and holes to drain it.",
