@@ -15,6 +15,7 @@ from geokit.core.base.forks import Lock
 from geokit.core.base.object_cache import CacheAttribute
 from geokit.core.blocks.several_devices import OnDevices, replicas, shows_arguments
 from geokit.core.gradients.rules import hold, split
+from geokit.core.interop.arrays import reinterpreted
 from geokit.core.interop.types import Array, Devices, Rows
 from geokit.core.interop.user_arrays import LARGEST_MEASURED, Batch, read_vectors, require_finite
 from geokit.core.launches import replay
@@ -524,6 +525,8 @@ class NeighborGrid:
                 queries; order is not known.
             DeviceMemoryError: The neighbors, or the images, do not fit in memory.
         """
+        import warp as wp
+
         if self._cell is None:
             raise InputError("neighbor_list: the grid is not periodic; give periodic=, or use radius_search()")
         require_order(order)
@@ -533,18 +536,11 @@ class NeighborGrid:
             shifts = lists.shifts(offsets, indices)
             return NeighborList(*map(self._home.to_caller, (offsets, lists.named(indices), distance, shifts)))
         asked, home = self._ask(queries, radius, exclude_self)
-        images = asked.images
-        assert images is not None
-        turn = images.turn if asked.turn is None else asked.turn
-        # By index, everything takes one pass over the neighbors.
-        by_index, counts = order == "index", search.count(asked, note=True)
-        found = self._rows_of(asked, counts, "images last" if by_index else order, home.is_float32)
-        if by_index:
-            offsets, indices, distance, shifts = images.listed(*found, turn)
-        else:
-            shifts = images.shifts(found[0], found[1], turn)
-            offsets, indices, distance = found[0], images.named(found[1]), found[2]
-        return NeighborList(*map(home.to_lists or home.to_caller, (offsets, indices, distance, shifts)))
+        assert asked.images is not None
+        turn = asked.images.turn if asked.turn is None else asked.turn
+        *found, shifts = self._filled(asked, search.count(asked, note=True), order, home.is_float32, turn)
+        found.append(reinterpreted(shifts, wp.int32, (len(shifts), 3)))
+        return NeighborList(*map(home.to_lists or home.to_caller, found))
 
     @query(is_stepped=True, memory=_candidate_bytes)
     def candidates(self, *, exclude_self: bool = False) -> Candidates:
@@ -903,30 +899,30 @@ class NeighborGrid:
             asked.images = self._images
         return asked
 
-    def _filled(self, asked: search.Asked, counts: "wp.array", order: str, single: bool) -> tuple[Any, Any, Any]:
-        """Rows of neighbors: indices of points."""
-        offsets, indices, distance = self._rows_of(asked, counts, order, single)
-        return offsets, indices if asked.images is None else asked.images.named(indices), distance
-
     @needs(name="radius_search_blocks")
-    def _rows_of(self, asked: search.Asked, counts: "wp.array", order: str, single: bool) -> tuple[Any, Any, Any]:
-        """Rows of neighbors: indices of points and, from N on, of images."""
+    def _filled(
+        self, asked: search.Asked, counts: "wp.array", order: str, single: bool, turn: Any = None
+    ) -> tuple[Any, ...]:
+        """Rows of neighbors: indices of points, distances, and for queries ``turn`` the shifts of images."""
 
         def refuse(total: int) -> None:
             search.require_room(total, asked.count, self._device)
 
-        if asked.images is not None and order != "any":
-            found = search.fill(asked, counts, refuse, single=single and order != "distance")
-            if order == "images last":
-                return found
-            found = asked.images.merged(*found)
+        images = asked.images
+        if images is not None and order != "any":
+            # By index, everything takes one pass over the neighbors.
+            found = images.listed(*search.fill(asked, counts, refuse, single=single and order != "distance"), turn)
             return found if order == "index" else sort_by_distance(*found)
         if order == "distance":
             # Rows are sorted by float64 distances, so the order in which they are filled does not matter.
             found = search.fill(asked, counts, refuse, order="any")
             search.sort_by_distance(*found)
             return found
-        return search.fill(asked, counts, refuse, order=order, single=single)
+        offsets, indices, distance = search.fill(asked, counts, refuse, order=order, single=single)
+        if images is None:
+            return offsets, indices, distance
+        shifts = [] if turn is None else [images.shifts(offsets, indices, turn)]
+        return offsets, images.named(indices), distance, *shifts
 
     def _blocks(
         self, batch: Batch, radii: Any, exclude_self: bool, order: str, counts: np.ndarray, budget: int, group: Any
