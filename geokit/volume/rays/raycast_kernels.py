@@ -10,7 +10,7 @@ from typing import Any
 import warp as wp
 
 from geokit.core import cpp
-from geokit.volume.rays.crossing_blocks_kernels import BLOCK_WORDS
+from geokit.volume.rays.crossing_blocks_kernels import BLOCK_WORDS, by_voxel
 
 # Unfused operations give equal bits on every device. Loops that are not unrolled compile in a tenth of the time.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
@@ -153,8 +153,4 @@ def raycast_kernel(
     write_hit(i, found, ray.scale, field.to_index, origin, direction, out_t, out_points, out_normals)
 
 
-# Keys: whether the grid holds floats.
-RAYCAST = {
-    True: wp.overload(raycast_kernel, {"below": wp.float32, "above": wp.float32}),
-    False: wp.overload(raycast_kernel, {"below": wp.float64, "above": wp.float64}),
-}
+RAYCAST = by_voxel(raycast_kernel)
