@@ -20,6 +20,7 @@ from geokit.core.interop.types import Array, Devices, Rows
 from geokit.core.interop.user_arrays import (
     LARGEST_MEASURED,
     Batch,
+    narrowed,
     read_numbers,
     read_vectors,
     require_finite,
@@ -1077,11 +1078,8 @@ def _hash_grid_of(points: "wp.array", cell_size: float) -> tuple[Any, "wp.array"
     """
     import warp as wp
 
-    from geokit.points.search.cells_kernels import narrow_points_kernel
-
     device: Any = points.device
-    single = wp.empty(len(points), dtype=wp.vec3f, device=device)
-    launcher.launch(narrow_points_kernel, len(points), [points], [single], device)
+    single = narrowed(points, wp.vec3f)
     # Begin and end of each cell; cell and number of each point, twice, for the sort.
     with allocating(device, 8 * HASH_CELLS**3 + 20 * len(points), fatal=True):
         grid = wp.HashGrid(HASH_CELLS, HASH_CELLS, HASH_CELLS, device=device)

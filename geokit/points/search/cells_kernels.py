@@ -314,14 +314,6 @@ def unsort_kernel(first: int, grid: CellGrid, out_points: wp.array(dtype=wp.vec3
     out_points[grid.index[i]] = wp.vec3d(grid.x[i], grid.y[i], grid.z[i])
 
 
-@wp.kernel
-def narrow_points_kernel(first: int, points: wp.array(dtype=wp.vec3d), out_points: wp.array(dtype=wp.vec3f)):
-    """Convert points to float32."""
-    i = first + wp.tid()
-    p = points[i]
-    out_points[i] = wp.vec3f(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2]))
-
-
 # Rows are float64, on a GPU also float32; the width of keys follows from the number of cells. Kernels are resolved here
 # once: resolving them at every launch takes longer than the launch.
 ROWS = (wp.vec3d, wp.vec3f)

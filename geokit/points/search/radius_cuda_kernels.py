@@ -185,13 +185,6 @@ def uncount_kernel(
 
 
 @wp.kernel
-def rename_kernel(first: int, place: wp.array(dtype=wp.int32), out_index: wp.array(dtype=wp.int32)):
-    """Map row numbers of a subset to row numbers of all queries."""
-    i = first + wp.tid()
-    out_index[i] = place[out_index[i]]
-
-
-@wp.kernel
 def sort_by_distance_kernel(
     first: int,
     offset: wp.array(dtype=wp.int64),
