@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -121,7 +120,7 @@ def chamfer(a: Rows, b: Rows, *, groups: Rows | None = None, device: Device = No
     """
     if groups is not None:
         return _chamfer_of_groups(a, b, groups, device)
-    found: ChamferDistance = _compared(a, b, device, _chamfer_of)
+    found: ChamferDistance = _compared(a, b, device, _chamfer_of, _pull_chamfer)
     return found
 
 
@@ -146,7 +145,7 @@ def hausdorff(a: Rows, b: Rows, *, device: Device = None) -> HausdorffDistance:
         >>> distance.max, distance.index_a, distance.index_b, distance.b_to_a.max
         (3.0, 1, 1, 1.0)
     """
-    found: HausdorffDistance = _compared(a, b, device, _hausdorff_of)
+    found: HausdorffDistance = _compared(a, b, device, _hausdorff_of, _pull_hausdorff)
     return found
 
 
@@ -163,16 +162,58 @@ def _hausdorff_of(there: Any, back: Any) -> HausdorffDistance:
     )
 
 
-def _compared(a: Any, b: Any, device: Any, of: Callable[[DirectedDistance, DirectedDistance], Any]) -> Any:
+def _pull_hausdorff(slopes: list[Any], ways: list[DirectedDistance]) -> list[tuple[Any, ...]]:
+    there, back = ways
+    larger = [there[part] >= back[part] for part in range(3)]
+    return [tuple(slopes[part] * (larger[part] == forth) for part in range(3)) for forth in (True, False)]
+
+
+def _compared(a: Any, b: Any, device: Any, of: Callable[..., Any], pull: Callable[..., Any]) -> Any:
     """What ``of`` makes of the distances from each cloud to the other."""
     if not is_on_tape(a) and not is_on_tape(b):
         return of(*_directed(a, b, device))
+    found = _between(a, b, device)
+    return _on_tape(found, [_whole(found.a_to_b), _whole(found.b_to_a)], of, pull)
+
+
+def _on_tape(found: Any, offsets: Sequence[NDArray[np.int64]], of: Callable[..., Any], pull: Callable[..., Any]) -> Any:
+    """What ``of`` makes of distances on a tape, as arrays of a number for each group.
+
+    ``pull(slopes, ways)`` gives the slopes of maximum, mean and root mean square of both ways, from those of the
+    numbers of both together.
+    """
+    import warp as wp
+
     from geokit.core.gradients import on_tape
 
-    def made(there: Any, index_b: Any, back: Any, index_a: Any) -> Any:
-        return of(_summed(there, index_b), _summed(back, index_a))
+    half = len(found) // 2
+    arrays, indices = [found[0], found[half]], [found[1], found[half + 1]]
+    distances = [array.numpy().astype(np.float64, copy=False) for array in arrays]
+    measured = [_measured(*one) for one in zip(distances, offsets, "ab", strict=True)]
+    ways = [DirectedDistance(*one, index.numpy()[one[3]]) for one, index in zip(measured, indices, strict=True)]
+    *numbers, _, _ = answer = of(*ways)
 
-    return on_tape.derived(made, *_between(a, b, device))
+    def given(values: NDArray[Any]) -> Any:
+        kind = arrays[0].dtype if values.dtype.kind == "f" else wp.int32
+        return wp.array(values, dtype=kind, device=arrays[0].device)
+
+    def back(slopes: list[Any]) -> list[NDArray[np.float64]]:
+        known = [0.0 if slope is None else slope.numpy().astype(np.float64) for slope in slopes]
+        alone, shared = (known[-10:-5], known[-5:]), pull(known[:-10], ways)
+        result = []
+        for number, (way, own) in enumerate(zip(ways, offsets, strict=True)):
+            of_max, of_mean, of_rms = (alone[number][part] + shared[number][part] for part in range(3))
+            sizes = np.diff(own)
+            # A root has no slope at 0.
+            share = of_rms / (sizes * np.where(way.rms > 0.0, way.rms, 1.0))
+            result.append(np.repeat(of_mean / sizes, sizes) + distances[number] * np.repeat(share, sizes))
+            result[number][way.index_from] += of_max
+        return result
+
+    outputs = [given(values) for values in (*numbers, *ways[0], *ways[1])]
+    has_slope = [out.dtype != wp.int32 for out in outputs]
+    on_tape.record(arrays, outputs, has_slope, back, "points")
+    return type(answer)(*outputs[:-10], DirectedDistance(*outputs[-10:-5]), DirectedDistance(*outputs[-5:]))
 
 
 def _directed(a: Any, b: Any, device: Any) -> tuple[DirectedDistance, DirectedDistance]:
@@ -206,19 +247,14 @@ def _chamfer_of_groups(a: Any, b: Any, groups: Any, device: Any) -> ChamferDista
     if tracked:
         found = _between_groups(a, b, (first, second), device)
 
-        def summed(library: Any, *parts: Any) -> ChamferDistance:
-            there, index_b, far_a, back, index_a, far_b = parts
-            return _chamfer_of(
-                _summed_groups(library, there, index_b, far_a, first),
-                _summed_groups(library, back, index_a, far_b, second),
-            )
-
-        if not is_on_tape(a) and not is_on_tape(b):
-            return summed(library_of(found.a_to_b), *found)
-        from geokit.core.gradients import on_tape, with_numpy
-
-        answer: ChamferDistance = on_tape.derived(functools.partial(summed, with_numpy.LIBRARY), *found)
-        return answer
+        if is_on_tape(a) or is_on_tape(b):
+            answer: ChamferDistance = _on_tape(found, (first, second), _chamfer_of, _pull_chamfer)
+            return answer
+        library = library_of(found.a_to_b)
+        return _chamfer_of(
+            _summed_groups(library, *found[:3], first),
+            _summed_groups(library, *found[3:], second),
+        )
     there = _from_groups(batches[0].array, batches[1].array, first, second, "a")
     back = _from_groups(batches[1].array, batches[0].array, second, first, "b")
     chamfer_of = _chamfer_of(there, back)
@@ -234,6 +270,10 @@ def _chamfer_of_groups(a: Any, b: Any, groups: Any, device: Any) -> ChamferDista
 def _chamfer_of(there: DirectedDistance, back: DirectedDistance) -> ChamferDistance:
     squared = there.rms * there.rms + back.rms * back.rms
     return ChamferDistance(distance=0.5 * (there.mean + back.mean), squared=squared, a_to_b=there, b_to_a=back)
+
+
+def _pull_chamfer(slopes: list[Any], ways: list[DirectedDistance]) -> list[tuple[Any, ...]]:
+    return [(0.0, 0.5 * slopes[0], 2.0 * slopes[1] * way.rms) for way in ways]
 
 
 class _BetweenGroups(NamedTuple):
@@ -284,6 +324,8 @@ def _by_size(values: NDArray[Any], offsets: NDArray[np.int64], reduce: Any) -> N
     NumPy sums a row of a table as it sums the same values alone.
     """
     sizes = np.diff(offsets)
+    if len(sizes) == 1:
+        return reduce(values[None])
     parts = [np.flatnonzero(sizes == size) for size in np.unique(sizes)]
     found = [reduce(values[offsets[part][:, None] + np.arange(sizes[part[0]])]) for part in parts]
     return np.concatenate(found)[np.argsort(np.concatenate(parts))]
@@ -293,23 +335,30 @@ def _from_groups(
     points: "wp.array", others: "wp.array", own: NDArray[np.int64], theirs: NDArray[np.int64], name: str
 ) -> DirectedDistance:
     distances, indices = nearest(build_tree(others, theirs), 1, points, groups=(theirs, own))
+    measured = _measured(distances.numpy().reshape(-1), own, name)
+    return DirectedDistance(*measured, indices.numpy().reshape(-1)[measured[3]])
+
+
+def _measured(distances: NDArray[np.float64], own: NDArray[np.int64], name: str) -> tuple[Any, Any, Any, Any]:
+    """Maximum, mean, root mean square and farthest point of each group, whose distances ``own`` divides."""
 
     def measures(table: NDArray[np.float64]) -> NDArray[np.float64]:
+        # argmax returns the first of several equal values, hence the lowest index.
         index = table.argmax(axis=1)
+        # Scale by the largest distance before squaring, so that squares neither overflow nor vanish.
         largest = table[np.arange(len(table)), index]
         share = table / np.where(largest > 0.0, largest, 1.0)[:, None]
         rms = largest * np.sqrt(np.mean(share * share, axis=1))
         return np.stack([largest, table.mean(axis=1), rms, index], axis=1)
 
     with np.errstate(invalid="ignore"):
-        found = _by_size(distances.numpy().reshape(-1), own, measures)
+        found = _by_size(distances, own, measures)
     far = found[:, 3].astype(np.int64) + own[:-1]
     if (found[:, 0] == np.inf).any():
         row = int(far[np.argmax(found[:, 0])])
         raise InputError(f"{name}: row {row} is so far away that its squared distance is not a float64; scale both")
-    measured: list[Any] = [np.ascontiguousarray(found[:, column]) for column in range(3)]
-    measured += [far.astype(np.int32), indices.numpy().reshape(-1)[far]]
-    return DirectedDistance(*measured)
+    largest, mean, rms, _ = np.ascontiguousarray(found.T)
+    return largest, mean, rms, far.astype(np.int32)
 
 
 class _Between(NamedTuple):
@@ -345,15 +394,12 @@ def _summed(distance: Any, index: Any) -> DirectedDistance:
 
 def _from(points: "wp.array", others: "wp.array", name: str) -> DirectedDistance:
     distances, indices = nearest(build_tree(others), 1, points)
-    distance: NDArray[np.float64] = distances.numpy().reshape(-1)
-    # argmax returns the first of several equal values, hence the lowest index.
-    index = int(distance.argmax())
-    largest = float(distance[index])
-    if largest == np.inf:
-        raise InputError(f"{name}: row {index} is so far away that its squared distance is not a float64; scale both")
-    # Scale by the largest distance before squaring, so that squares neither overflow nor vanish.
-    share = distance / largest if largest > 0.0 else distance
-    rms = largest * float(np.sqrt(np.mean(share * share)))
-    nearest_index = int(indices[index : index + 1].numpy().reshape(-1)[0])
-    numbers: Any = (largest, float(distance.mean()), rms, index, nearest_index)
-    return DirectedDistance(*numbers)
+    measured = _measured(distances.numpy().reshape(-1), _whole(points), name)
+    index = int(measured[3][0])
+    numbers: Any = (*measured, indices[index : index + 1].numpy().reshape(-1))
+    return DirectedDistance(*(part.item() for part in numbers))
+
+
+def _whole(points: Any) -> NDArray[np.int64]:
+    """The offsets of one group."""
+    return np.array([0, len(points)])

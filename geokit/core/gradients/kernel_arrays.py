@@ -1,4 +1,4 @@
-"""Arrays as kernels of derivatives take and give them: of warp, and of NumPy on a CPU.
+"""Arrays of warp as kernels of derivatives take and give them.
 
 :class:`geokit.core.gradients.tensor_rows.TensorArrays` does the same for tensors of torch.
 """
@@ -8,15 +8,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 import warp as wp
 
 from geokit.core import launcher
 from geokit.core.base.query import Query
 from geokit.core.gradients.rules import Asked
 from geokit.core.gradients.sums_kernels import ADD, number_kernel, sum_rows_kernel
-from geokit.core.interop.arrays import reinterpreted
-from geokit.core.memory.host_array import HostArray
+from geokit.core.interop.arrays import detached, reinterpreted
 from geokit.core.memory.unchecked import sort_pairs
 
 __all__ = ["WarpArrays", "add_to", "pulled_by_kernel"]
@@ -43,8 +41,6 @@ class WarpArrays:
         """
         if values is None:
             return wp.empty(0, dtype=_VECTORS[self.number] if width == 3 else self.number, device=self.device)
-        if not isinstance(values, wp.array):
-            return HostArray(np.ascontiguousarray(values.reshape(-1, 3) if width == 3 else values.reshape(-1)))
         number = _numbers_of(values)
         count = values.size * (1 if number is values.dtype else 3) // width
         return reinterpreted(values, _VECTORS[number] if width == 3 else number, (count,))
@@ -74,31 +70,48 @@ class WarpArrays:
 def pulled_by_kernel(
     query: Query, asked: Asked, answer: Sequence[Any], slopes: Sequence[Any], wanted: list[str]
 ) -> dict[str, Any] | None:
-    """The first derivatives by a query's kernel, for arrays of warp or of NumPy; None where it does not take these."""
+    """The first derivatives by a query's kernel on its device, for arrays of warp or of NumPy; None where it has none.
+
+    Arrays elsewhere, of several precisions or with gaps are copied.
+    """
     adjoint = query.rule().adjoint
-    rows = [asked.tensors[name] for name in query.inputs if name in asked.tensors]
-    given = [*rows, *answer, *(slope for slope in slopes if slope is not None)]
-    if adjoint is None or not all(map(_is_taken, given)):
+    if adjoint is None:
         return None
-    devices = {str(getattr(array, "device", "cpu")) for array in given}
-    numbers = {_numbers_of(array) for array in given} - {wp.int32, wp.int64}
-    if len(devices) > 1 or len(numbers) > 1 or not numbers.issubset(_VECTORS):
-        return None
-    (device,), (number,) = devices, numbers
-    found: dict[str, Any] | None = adjoint(asked, answer, slopes, wanted, WarpArrays(wp.get_device(device), number))
+    owner, rows = asked.arguments.get("self"), [name for name in query.inputs if name in asked.tensors]
+    device = launcher.resolve_device(getattr(owner, "_device", None) or asked.arguments.get("device"))
+    given = [*(asked.tensors[name] for name in rows), *answer, *slopes]
+    kinds = {_numbers_of(array) for array in given if array is not None} - {wp.int32, wp.int64}
+    number = wp.float32 if kinds == {wp.float32} else wp.float64
+    given = [None if array is None else _there(array, device, number) for array in given]
+    asked = asked._replace(tensors={**asked.tensors, **dict(zip(rows, given, strict=False))})
+    begin, end = len(rows), len(rows) + len(answer)
+    found: dict[str, Any] | None = adjoint(asked, given[begin:end], given[end:], wanted, WarpArrays(device, number))
     return found
 
 
-def add_to(total: Any, part: Any) -> None:
-    """Add to a contiguous array what :func:`pulled_by_kernel` gave for it."""
-    numbers = [_numbers_of(array) for array in (part, total)]
-    flat = [reinterpreted(array, number, (array.size * (1 if number is array.dtype else 3),))
-            for array, number in zip((part, total), numbers, strict=True)]  # fmt: skip
+def add_to(array: Any, part: Any) -> None:
+    """Add to the gradient of an array of warp what was found for it."""
+    total = array.grad
+    if total is None or not total.size:
+        return
+    whole = total if total.is_contiguous else detached(total)
+    pair = [_there(part, total.device, _numbers_of(part)), whole]
+    numbers = [_numbers_of(one) for one in pair]
+    flat = [reinterpreted(one, number, (one.size * (1 if number is one.dtype else 3),))
+            for one, number in zip(pair, numbers, strict=True)]  # fmt: skip
     launcher.launch(ADD[tuple(numbers)], len(flat[1]), flat[:1], flat[1:], total.device)
+    if whole is not total:
+        wp.copy(total, whole)
 
 
-def _is_taken(array: Any) -> bool:
-    return not isinstance(array, wp.array) or (array.is_contiguous and array.size > 0)
+def _there(array: Any, device: wp.Device, number: Any) -> Any:
+    """An array of warp without gaps on a device, floats of a precision."""
+    if isinstance(array, wp.array):
+        if array.device == device and _numbers_of(array) in (number, wp.int32, wp.int64):
+            return array if array.is_contiguous else detached(array)
+        array = array.numpy()
+    kind = number if array.dtype.kind == "f" else wp.dtype_from_numpy(array.dtype)
+    return wp.array(array, dtype=kind, device=device)
 
 
 def _numbers_of(array: Any) -> Any:

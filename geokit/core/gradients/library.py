@@ -13,7 +13,7 @@ class Library(NamedTuple):
 
     Attributes:
         where: ``where(condition, a, b)``.
-        sqrt, floor, arctan2: As in NumPy.
+        sqrt, floor: As in NumPy.
         stack: ``stack(arrays, axis)``.
         take: ``take(table, index)``: rows of a table. Its derivative adds the rows of each index in one order, so that
             it has the same bits in every run.
@@ -22,19 +22,18 @@ class Library(NamedTuple):
         kept: ``kept(cache, name, array, like)``: the same of an array that belongs to an object, uploaded once and kept
             in its cache where the library can.
         wide, whole: A tensor in float64, in int64.
-        listed: ``listed(offsets, total)``: for each of ``total`` entries that offsets (N + 1,) divide, its part.
         detach: A tensor as a constant.
-        on_host: A constant tensor as a NumPy array.
         ask: ``ask(query, points, shape, *beside)``: the numbers (N, *shape), of the points' type, that a query without
             derivatives answers for constant points (N, ...) and the arrays ``beside`` them.
         once: ``once(tensor, message, of)``: the tensor, whose derivative with respect to the tensors ``of`` is not
             known: asking for it is an InputError.
+        listed: ``listed(offsets, total)``: for each of ``total`` entries that offsets (N + 1,) divide, its part; in
+            torch alone, as lists of unknown length are.
     """
 
     where: Callable[..., Any]
     sqrt: Callable[..., Any]
     floor: Callable[..., Any]
-    arctan2: Callable[..., Any]
     stack: Callable[..., Any]
     take: Callable[..., Any]
     add: Callable[..., Any]
@@ -42,11 +41,10 @@ class Library(NamedTuple):
     kept: Callable[..., Any]
     wide: Callable[..., Any]
     whole: Callable[..., Any]
-    listed: Callable[..., Any]
     detach: Callable[..., Any]
-    on_host: Callable[..., Any]
     ask: Callable[..., Any]
     once: Callable[..., Any]
+    listed: Any = None
 
 
 def dot(a: Any, b: Any) -> Any:

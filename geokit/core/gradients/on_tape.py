@@ -2,7 +2,7 @@
 
 A backward pass reads arrays where they are then, as those of warp's own launches do: what is overwritten between the
 query and the pass has its new values. It adds to the gradients of arguments, and consumes those of answers: a second
-pass over a tape adds as much again. Arrays of a GPU go by way of the host, except where a rule has a kernel.
+pass over a tape adds as much again.
 """
 
 from __future__ import annotations
@@ -12,18 +12,17 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
 from geokit.core.base.snapshot import snapshot
-from geokit.core.gradients.kernel_arrays import add_to, pulled_by_kernel
+from geokit.core.gradients.kernel_arrays import add_to
 from geokit.core.gradients.rules import Asked, Call, is_tracked, untracked
-from geokit.core.gradients.with_numpy import Followed, plain, pulled, pulled_back
+from geokit.core.gradients.with_numpy import pulled
 from geokit.core.interop.arrays import detached
 from geokit.core.launches import warp_private
 from geokit.core.require import read_array
 from geokit.errors import InputError
 
-__all__ = ["attach", "derived"]
+__all__ = ["attach", "record"]
 
 
 def attach(call: Call) -> Any:
@@ -41,68 +40,25 @@ def attach(call: Call) -> Any:
     outputs = given if isinstance(given, tuple) else (given,)
     wanted = {name: array for name, array in arrays.items() if array.requires_grad}
 
-    def on_device(slopes: list[Any]) -> bool:
-        totals = {name: array.grad for name, array in wanted.items()}
-        if not all(total.size and total.is_contiguous for total in totals.values()):
-            return False
+    def back(slopes: list[Any]) -> list[Any]:
         asked = Asked({name: detached(array) for name, array in arrays.items()}, others)
-        found = pulled_by_kernel(call.query, asked, outputs, slopes, list(wanted))
-        for name, part in (found or {}).items():
-            add_to(totals[name], part)
-        return found is not None
-
-    def back(slopes: list[Any]) -> list[NDArray[Any]]:
-        tensors = {name: _rows(array) for name, array in arrays.items()}
-        inputs = {name: part for name, part in tensors.items() if name in call.query.inputs}
-        answer = [_rows(out) for out in outputs]
-        found = pulled(call.query, Asked(tensors, {**others, **inputs}), answer, slopes, list(wanted))
+        found = pulled(call.query, asked, outputs, slopes, list(wanted))
         return [found[name] for name in wanted]
 
-    _record(list(wanted.values()), list(outputs), rule.has_slope, back, ", ".join(call.names), on_device)
+    record(list(wanted.values()), list(outputs), rule.has_slope, back, ", ".join(call.names))
     return given
 
 
-def derived(build: Callable[..., Any], *arrays: Any) -> Any:
-    """Numbers that depend on arrays of a tape, as arrays that carry gradients; one number has the shape (1,).
-
-    Args:
-        build: Makes a NamedTuple, which may hold others, of :class:`geokit.core.gradients.with_numpy.Followed` values
-            of the arrays that carry gradients, and of NumPy arrays.
-        arrays: Arrays of warp.
-    """
-    tracked = [array for array in arrays if array.requires_grad]
-
-    def built() -> tuple[Any, list[Any], list[Any]]:
-        given = [Followed(_rows(array)) if array.requires_grad else _rows(array) for array in arrays]
-        found = build(*given)
-        return found, _leaves(found), [one for one in given if isinstance(one, Followed)]
-
-    def back(slopes: list[Any]) -> list[NDArray[Any]]:
-        _, leaves, sources = built()
-        return pulled_back(leaves, slopes, sources)
-
-    found, leaves, _ = built()
-    outputs = [_number(leaf, arrays[0]) for leaf in leaves]
-    _record(tracked, outputs, [isinstance(leaf, Followed) for leaf in leaves], back, "points")
-    return _with_leaves(found, iter(outputs))
-
-
-def _record(
-    inputs: list[Any],
-    outputs: list[Any],
-    has_slope: Any,
-    back: Callable[[list[Any]], list[NDArray[Any]]],
-    names: str,
-    on_device: Callable[[list[Any]], bool] = lambda _: False,
+def record(
+    inputs: list[Any], outputs: list[Any], has_slope: Any, back: Callable[[list[Any]], list[Any]], names: str
 ) -> None:
     """Record the way back from outputs to inputs.
 
     Args:
         inputs, outputs: Arrays of warp.
         has_slope: For each output, whether it has a derivative.
-        back: Takes the slopes of the outputs (None where they are 0) to those of the inputs, on the host.
+        back: Takes the slopes of the outputs (None where they are 0) to those of the inputs, of warp or of NumPy.
         names: Of the inputs.
-        on_device: Adds the same to the gradients of the inputs on their device, and returns whether it could.
     """
     tape = warp_private.tape_in_progress()
     if isinstance(tape, str):
@@ -118,14 +74,15 @@ def _record(
 
     def backward() -> None:
         _refuse_capture([*inputs, *carrying], names)
-        if on_device([None if out is None else out.grad for out in sloped]):
-            for out in carrying:
-                _consume(out)
+        slopes = [None if out is None else out.grad for out in sloped]
+        if all(slope is None for slope in slopes):
             return
-        slopes = [None if out is None else _consumed(out) for out in sloped]
-        if any(slope is not None for slope in slopes):
-            for array, part in zip(inputs, back(slopes), strict=True):
-                _add_to(array, part)
+        for array, part in zip(inputs, back(slopes), strict=True):
+            add_to(array, part)
+        for out in carrying:
+            # As warp zeroes those of what a kernel wrote to.
+            if out.grad is not None and not out.retain_grad:
+                out.grad.zero_()
 
     tape.record_func(backward, [*(array for array in inputs if array.size), *carrying])
     if wp.config.verify_autograd_array_access:
@@ -160,47 +117,3 @@ def _kept(value: Any) -> Any:
         return value.numpy().copy()
     kept = untracked(value)
     return snapshot(kept) if kept is value and hasattr(value, "update") and hasattr(value, "_cache") else kept
-
-
-def _rows(array: Any) -> NDArray[Any]:
-    """An array on the host, numbers in float64; a row for each vector."""
-    values: NDArray[Any] = array.numpy()
-    return values.astype(np.float64) if values.dtype.kind == "f" else values
-
-
-def _consumed(out: Any) -> NDArray[np.float64] | None:
-    """The gradient of an output, which is zeroed as warp zeroes what a kernel wrote to; None if it is 0."""
-    if out.grad is None:
-        return None
-    slope = _rows(out.grad)
-    if not slope.any():
-        return None
-    _consume(out)
-    return slope
-
-
-def _consume(out: Any) -> None:
-    if not out.retain_grad:
-        out.grad.zero_()
-
-
-def _add_to(array: Any, part: NDArray[Any]) -> None:
-    grad = array.grad
-    if grad is None or not array.size:
-        return
-    before = grad.numpy()
-    grad.assign((before + part.reshape(before.shape)).astype(before.dtype))
-
-
-def _leaves(found: Any) -> list[Any]:
-    return [leaf for one in found for leaf in (_leaves(one) if isinstance(one, tuple) else [one])]
-
-
-def _with_leaves(found: Any, leaves: Any) -> Any:
-    return type(found)(*(_with_leaves(one, leaves) if isinstance(one, tuple) else next(leaves) for one in found))
-
-
-def _number(leaf: Any, like: Any) -> Any:
-    values = np.atleast_1d(plain(leaf))
-    kind = like.dtype if values.dtype.kind == "f" else wp.int32
-    return wp.array(values, dtype=kind, device=like.device)

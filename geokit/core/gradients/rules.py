@@ -2,8 +2,8 @@
 
 A query searches once, without gradients. Its rule then has the closed form of the answer's derivative, so that a
 backward pass searches nothing. A rule knows no library: it is written with the functions of a
-:class:`~geokit.core.gradients.library.Library`. Torch and jax differentiate what it builds; for a tape of warp it is
-followed through NumPy.
+:class:`~geokit.core.gradients.library.Library`. Torch and jax differentiate what it builds, where its ``adjoint`` does
+not have the first derivatives; a tape of warp takes those of the adjoint, or of ``pull`` with NumPy.
 """
 
 from __future__ import annotations
@@ -51,14 +51,12 @@ PLAIN = frozenset((bool, int, float, str, type(None)))
 
 
 class Rule(NamedTuple):
-    """How an answer depends on tensors. To ``build`` and ``pull``, those of a tape of warp are arrays of NumPy.
+    """How an answer depends on tensors. To ``pull``, those of a tape of warp are arrays of NumPy.
 
     Attributes:
         build: ``build(library, asked, answer)`` gives each output again as a function of the tensors, or None where an
             output has no derivative. ``asked`` is a :class:`Asked`; ``answer`` is a tuple of tensors that count as
-            constants.
-        prepare: ``prepare(library, asked)``: searches of the backward pass, for constant tensors; ``build`` may not
-            search.
+            constants. It may not search: torch differentiates it with tensors that have no memory.
         adjoint: ``adjoint(asked, answer, slopes, wanted, arrays)``: the wanted first derivatives, by name, by a
             kernel on the arrays where they lie; None where there is none for this call. All that are no tensors of
             objects lie on one device and are of one precision; ``arrays`` takes them to the kernel
@@ -66,7 +64,7 @@ class Rule(NamedTuple):
         pull: In place of ``build``: ``pull(library, asked, answer, slopes)`` gives the derivative with respect to each
             tensor in ``asked.tensors``, by name; ``slopes`` are those with respect to the outputs.
         has_slope: For each output, whether it has a derivative.
-        is_traced: Whether jax can trace ``build`` or ``pull``; if not, ``adjoint`` gets arrays of NumPy in their place.
+        is_traced: Whether jax can trace ``build`` or ``pull``; if not, it gets first derivatives as a tape does.
         at_once: ``at_once(asked)`` gives the answer to tensors of torch, a tuple, together with its derivative by each
             number of the first tensor, where one kernel finds both; None where none does. Of an answer (N,) to rows
             (N, 3), the derivative is (N, 3).
@@ -78,7 +76,6 @@ class Rule(NamedTuple):
 
     has_slope: tuple[bool, ...]
     build: Callable[..., tuple[Any, ...]] | None = None
-    prepare: Callable[..., Any] | None = None
     adjoint: Callable[..., dict[str, Any] | None] | None = None
     pull: Callable[..., dict[str, Any]] | None = None
     is_traced: bool = True
@@ -93,12 +90,10 @@ class Asked(NamedTuple):
     Attributes:
         tensors: What the answer depends on, by name: tensors of the call and those that the object holds.
         arguments: All arguments by name, also the object under its parameter's name.
-        prepared: What the rule's ``prepare`` found.
     """
 
     tensors: dict[str, Any]
     arguments: dict[str, Any]
-    prepared: Any = None
 
 
 class Call(NamedTuple):

@@ -1,4 +1,4 @@
-"""Sums of the vectors of each index, and additions to gradients."""
+"""Sums of the vectors of each index, additions to gradients, and overloads of their kernels."""
 
 from typing import Any
 
@@ -48,6 +48,19 @@ def add_kernel(first: int, part: wp.array(dtype=Any), out_total: wp.array(dtype=
     """Add numbers to others of either precision, in float64."""
     i = first + wp.tid()
     out_total[i] = type(out_total[i])(wp.float64(out_total[i]) + wp.float64(part[i]))
+
+
+def overloads(kernel: Any, vectors: tuple[str, ...], numbers: tuple[str, ...], **others: Any) -> dict[Any, Any]:
+    """Overloads of a kernel by the type of the coordinates; parameters are arrays of vectors, of numbers, or others."""
+    return {
+        number: wp.overload(
+            kernel,
+            {name: wp.array(dtype=vector) for name in vectors}
+            | {name: wp.array(dtype=number) for name in numbers}
+            | others,
+        )
+        for number, vector in ((wp.float32, wp.vec3f), (wp.float64, wp.vec3d))
+    }
 
 
 # By the types of what is added and of the total.

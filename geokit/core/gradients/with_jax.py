@@ -9,9 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from geokit.core.gradients.kernel_arrays import pulled_by_kernel
 from geokit.core.gradients.library import Library
-from geokit.core.gradients.rules import Asked, Call, Deferred, owner_of
+from geokit.core.gradients.rules import Asked, Call, Deferred, is_warp_array, owner_of
+from geokit.core.gradients.with_numpy import pulled
 from geokit.errors import InputError
 
 __all__ = ["LIBRARY", "Traced", "attach"]
@@ -107,15 +107,16 @@ def _query(call: Call, *tensors: Any) -> Any:
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _pulled_on_host(call: Call, tensors: Any, answer: Any, slopes: Any) -> Any:
-    """The derivatives of a rule whose kernel has them, but no closed form that jax can trace."""
+    """The derivatives of a rule that jax cannot trace."""
     counts = len(tensors), len(tensors) + len(answer)
     specs = tuple(jax.ShapeDtypeStruct(tensor.shape, tensor.dtype) for tensor in tensors)
 
     def run(*rows: Any) -> Any:
-        given = [np.asarray(row, np.float64) for row in rows]
+        given = [np.asarray(row) for row in rows]
         asked, found = _asked(call, given[: counts[0]]), given[counts[0] : counts[1]]
-        pulls: Any = pulled_by_kernel(call.query, asked, found, given[counts[1] :], list(call.names))
-        return tuple(np.asarray(pulls[name], spec.dtype) for name, spec in zip(call.names, specs, strict=True))
+        pulls = pulled(call.query, asked, found, given[counts[1] :], list(call.names))
+        parts = [pulls[name].numpy() if is_warp_array(pulls[name]) else pulls[name] for name in call.names]
+        return tuple(np.asarray(part, spec.dtype) for part, spec in zip(parts, specs, strict=True))
 
     return jax.pure_callback(run, specs, *tensors, *answer, *slopes, vmap_method="sequential")
 
@@ -226,7 +227,6 @@ LIBRARY = Library(
     where=jnp.where,
     sqrt=jnp.sqrt,
     floor=jnp.floor,
-    arctan2=jnp.arctan2,
     stack=jnp.stack,
     take=_take,
     add=_add,
@@ -235,11 +235,7 @@ LIBRARY = Library(
     kept=lambda cache, name, values, like: _constant(values, like),
     wide=_wide,
     whole=lambda tensor: tensor.astype(jnp.result_type(int)),
-    listed=lambda offsets, total: jnp.repeat(
-        jnp.arange(len(offsets) - 1), jnp.diff(offsets), total_repeat_length=total
-    ),
     detach=jax.lax.stop_gradient,
-    on_host=np.asarray,
     ask=_ask,
     once=lambda tensor, message, of: _unknown(message, tensor, *of.values()),
 )

@@ -103,9 +103,6 @@ def pulled(rule: Rule, asked: Asked, answer: Any, slopes: Any, wanted: list[str]
     if rule.pull is not None:
         return rule.pull(LIBRARY, asked, answer, slopes)
     build: Any = rule.build
-    if rule.prepare is not None:
-        plain = {name: tensor.detach() for name, tensor in asked.tensors.items()}
-        asked = asked._replace(prepared=rule.prepare(LIBRARY, asked._replace(tensors=plain)))
 
     def outputs(*some: Any) -> tuple[Any, ...]:
         # In float64 throughout, as the search itself.
@@ -319,7 +316,6 @@ LIBRARY = Library(
     where=torch.where,
     sqrt=torch.sqrt,
     floor=torch.floor,
-    arctan2=torch.arctan2,
     stack=torch.stack,
     take=_take,
     add=_add,
@@ -329,7 +325,6 @@ LIBRARY = Library(
     whole=lambda tensor: tensor.long(),
     listed=lambda offsets, total: torch.repeat_interleave(offsets.diff(), output_size=total),
     detach=lambda tensor: tensor.detach(),
-    on_host=lambda tensor: tensor.detach().cpu().numpy(),
     ask=lambda query, points, shape, *beside: query(points, *beside),
     once=_once,
 )

@@ -6,6 +6,8 @@ from typing import Any
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.core.gradients.sums_kernels import overloads
+
 # Without fused multiply-adds a GPU gives the same bits as a CPU.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -313,17 +315,15 @@ def foot_slopes_kernel(
     give(mesh, face, slopes, i, out_corners, out_vertex)
 
 
-def overloads(kernel: Any, vectors: tuple[str, ...], numbers: tuple[str, ...]) -> dict[tuple[bool, Any], Any]:
+def by_corners(kernel: Any, vectors: tuple[str, ...], numbers: tuple[str, ...]) -> dict[bool, dict[Any, Any]]:
     """Overloads of a kernel by whether corners are wanted, and by the type of the coordinates."""
-    found = {}
-    for number, vector in ((wp.float32, wp.vec3f), (wp.float64, wp.vec3d)):
-        given = {name: wp.array(dtype=vector) for name in vectors} | {name: wp.array(dtype=number) for name in numbers}
-        for is_cornered, corners in ((False, int), (True, wp.vec3d)):
-            found[is_cornered, number] = wp.overload(kernel, {**given, "out_corners": wp.array(dtype=corners)})
-    return found
+    return {
+        is_cornered: overloads(kernel, vectors, numbers, out_corners=wp.array(dtype=corners))
+        for is_cornered, corners in ((False, int), (True, wp.vec3d))
+    }
 
 
-FOOT_SLOPES = overloads(
+FOOT_SLOPES = by_corners(
     foot_slopes_kernel,
     ("points", "feet", "barycentric", "by_foot", "by_weights", "out_points"),
     ("distance", "by_distance"),

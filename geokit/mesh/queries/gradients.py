@@ -204,7 +204,7 @@ def _pulled(
     out = [*(arrays.made(count if name in wanted else 0, 3) for name in rows), arrays.made(*corners)]
     out.append(arrays.made(corners[0], 1, wp.int32))
     mesh, owner = _sloped_faces(surface, signed), _owners(surface, offsets, lead_of(first), arrays.device)
-    arrays.launch(kernels[is_cornered, arrays.number], count, [mesh, owner, *inputs], out)
+    arrays.launch(kernels[is_cornered][arrays.number], count, [mesh, owner, *inputs], out)
     found = dict(zip(rows, out, strict=False))
     if is_cornered:
         found["vertices"] = arrays.added(*out[-2:], len(asked.tensors["vertices"]))

@@ -10,10 +10,10 @@ from geokit.mesh.queries.foot_slopes_kernels import (
     NONE,
     Corners,
     SlopedFaces,
+    by_corners,
     corners_of,
     face_of,
     give,
-    overloads,
     shared,
 )
 
@@ -73,7 +73,7 @@ def hit_slopes_kernel(
     give(mesh, face, slopes, i, out_corners, out_vertex)
 
 
-HIT_SLOPES = overloads(
+HIT_SLOPES = by_corners(
     hit_slopes_kernel,
     ("directions", "barycentric", "by_weights", "out_origins", "out_directions"),
     ("t", "by_t"),

@@ -1,8 +1,9 @@
 """Derivatives of winding numbers with respect to points and vertices.
 
-Away from the surface the winding number changes only because the mesh has a border: the mesh and a fan of triangles
-over its border edges form a closed surface together, whose winding number is whole. So the derivative is that of the
-solid angles of the fan, and 0 for a closed mesh.
+Away from the surface the winding number changes only because the mesh has a border. Where an edge of it moves, the
+solid angle changes by the flux of r / |r|^3 through what the edge sweeps: with corners a and b as seen from the point,
+by ``cross(b, a) / (|a| |b| + dot(a, b))``, divided by |a| for a move of a and by |b| for one of b. The slope of the
+point is that of all corners, the other way; of a closed mesh it is 0.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import math
 from typing import Any
 
 import numpy as np
+import warp as wp
 from numpy.typing import NDArray
 
 from geokit.core.gradients.library import Library, cross, dot, length
@@ -18,8 +20,9 @@ from geokit.core.gradients.rules import Asked, Rule
 
 __all__ = ["WINDING_NUMBER", "border_edges"]
 
-# Where the fan's apex lies, in the mesh's box: no plane through vertices of a simple shape passes there.
-APEX = (0.4619, 0.5357, 0.5128)
+# Parts of the points, each of which a thread adds for one edge; fewer where there are more edges than this is worth.
+MOST_PARTS = 1024
+MOST_THREADS = 1 << 18
 
 
 def border_edges(faces: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -32,37 +35,68 @@ def border_edges(faces: NDArray[np.int32]) -> tuple[NDArray[np.int64], NDArray[n
     return edges[some], passes[some]
 
 
-def _wound(surface: Any, as_given: bool) -> NDArray[np.int32]:
-    """The faces that count, wound as the winding number takes them."""
-    if as_given:
-        return np.asarray(surface.mesh.faces)
-    deciding = surface._signs
-    faces, flipped = deciding.mesh.faces, deciding._orientation.flipped
-    return np.where(flipped[:, None], faces[:, ::-1], faces)
+def _border(asked: Asked) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """The border of the faces that count, wound as the winding number takes them; passes are divided by 4 pi."""
+    surface = asked.arguments["self"]
+    if asked.arguments["as_given"]:
+        faces = np.asarray(surface.mesh.faces)
+    else:
+        deciding = surface._signs
+        faces = np.where(deciding._orientation.flipped[:, None], deciding.mesh.faces[:, ::-1], deciding.mesh.faces)
+    edges, passes = border_edges(faces)
+    return edges, passes / (4.0 * math.pi)
 
 
-def _winding_number(library: Library, asked: Asked, answer: Any) -> tuple[Any, ...]:
-    surface, points = asked.arguments["self"], asked.tensors["points"]
-    edges, passes = border_edges(_wound(surface, asked.arguments["as_given"]))
+def _pull(library: Library, asked: Asked, answer: Any, slopes: Any) -> dict[str, Any]:
+    points, slope = (library.wide(rows) for rows in (asked.tensors["points"], slopes[0]))
+    edges, passes = (library.constant(part, points) for part in _border(asked))
+    held = asked.tensors.get("vertices")
+    vertices = library.constant(asked.arguments["self"].mesh.vertices, points) if held is None else library.wide(held)
     if not len(edges):
-        return ((points * 0.0).sum(1),)
-    vertices = asked.tensors.get("vertices")
-    if vertices is None:
-        vertices = library.constant(surface.mesh.vertices, points)
-    low, high = surface.bounds
-    apex = library.constant(low + np.array(APEX) * (high - low), points)
-    ends = library.constant(edges, points)
-    a, b = (library.take(vertices, ends[:, end])[None] - points[:, None] for end in (0, 1))
-    c = (apex - points)[:, None] + a * 0.0
-    la, lb, lc = (length(library, side) for side in (a, b, c))
-    # Solid angle of a triangle: Van Oosterom and Strackee (1983).
-    volume = dot(cross(library, a, b), c)
-    below = la * lb * lc + dot(a, b) * lc + dot(b, c) * la + dot(c, a) * lb
-    # Both are 0 on an edge of the border, where derivatives grow without bound: there they are left out.
-    beside = (volume != 0.0) | (below != 0.0)
-    volume, below = library.where(beside, volume, 0.0), library.where(beside, below, 1.0)
-    angles = 2.0 * library.arctan2(volume, below)
-    return ((angles * library.constant(passes, points)).sum(1) / (4.0 * math.pi),)
+        return {"points": points * 0.0, "vertices": vertices * 0.0}
+    a, b = (library.take(vertices, edges[:, end])[None] - points[:, None] for end in (0, 1))
+    normal, along, la, lb = cross(library, b - a, a), dot(a, b), length(library, a), length(library, b)
+    square = dot(normal, normal)
+    # On the line of an edge there is no slope, or on the edge itself none that is bounded.
+    some, is_beside = square > 0.0, along < 0.0
+    below = library.where(some & ~is_beside, la * lb + along, 1.0)
+    # Without the difference of two that are nearly equal.
+    share = library.where(is_beside, (la * lb - along) / library.where(some & is_beside, square, 1.0), 1.0 / below)
+    share = library.where(some, share, 0.0) * passes * slope[:, None]
+    of_ends = [(share / library.where(some, far, 1.0))[..., None] * normal for far in (la, lb)]
+    found = {"points": -(of_ends[0] + of_ends[1]).sum(1)}
+    if held is not None:
+        by_end = (library.add(part.sum(0), edges[:, end], len(vertices)) for end, part in enumerate(of_ends))
+        found["vertices"] = sum(by_end)
+    return found
 
 
-WINDING_NUMBER = Rule((True,), _winding_number, shapes=lambda asked: [((len(asked.tensors["points"]),), "float")])
+def _adjoint(asked: Asked, answer: Any, slopes: Any, wanted: list[str], arrays: Any) -> dict[str, Any] | None:
+    """The same by kernels: a thread for each point, and for each edge and part of the points."""
+    from geokit.mesh.sign.border_slopes_kernels import POINT_SLOPES, VERTEX_SLOPES
+
+    surface, count = asked.arguments["self"], len(asked.tensors["points"])
+    if arrays.device != surface._device or slopes[0] is None:
+        return None
+
+    def uploaded() -> Any:
+        given = zip(_border(asked), (wp.vec2i, wp.float64), strict=True)
+        return [wp.array(part, dtype=kind, device=arrays.device) for part, kind in given]
+
+    edges, passes = surface._cache.find(("border", asked.arguments["as_given"]), uploaded)
+    given = [arrays.given(asked.tensors["points"], 3), surface._vertices, edges, passes, arrays.given(slopes[0])]
+    found = {}
+    if "points" in wanted:
+        found["points"] = arrays.made(count, 3)
+        arrays.launch(POINT_SLOPES[arrays.number], count, given, [found["points"]])
+    if "vertices" in wanted:
+        parts = max(1, min(MOST_PARTS, count, MOST_THREADS // max(1, len(edges))))
+        out = arrays.made(2 * parts * len(edges), 3, wp.float64), arrays.made(2 * parts * len(edges), 1, wp.int32)
+        arrays.launch(VERTEX_SLOPES[arrays.number], parts * len(edges), [parts, *given], out)
+        found["vertices"] = arrays.added(*out, len(asked.tensors["vertices"]))
+    return found
+
+
+WINDING_NUMBER = Rule(
+    (True,), pull=_pull, adjoint=_adjoint, shapes=lambda asked: [((len(asked.tensors["points"]),), "float")]
+)

@@ -1,4 +1,4 @@
-"""Derivatives of densities with respect to points, queries and masses."""
+"""Derivatives of densities with respect to points and queries."""
 
 from __future__ import annotations
 
@@ -6,34 +6,17 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+import warp as wp
 
+from geokit.core import launcher
 from geokit.core.gradients.library import Library, length
-from geokit.core.gradients.rules import Asked, Rule
+from geokit.core.gradients.rules import Asked, Rule, split
+from geokit.core.interop.user_arrays import read_numbers
 from geokit.errors import InputError
+from geokit.points.gradients.distances import of_grid
 from geokit.points.neighbors.neighbor_grid import NeighborGrid
 
 __all__ = ["DENSITY"]
-
-
-def _smoothed(library: Library, kernel: str, q: Any) -> Any:
-    """W * radius^3 at a share q of the radius, at most 1."""
-    rest = 1.0 - q
-    if kernel == "cubic_spline":
-        inner = 1.0 - 6.0 * q * q + 6.0 * q * q * q
-        return 8.0 / math.pi * library.where(q <= 0.5, inner, 2.0 * rest * rest * rest)
-    if kernel == "wendland_c2":
-        return 21.0 / (2.0 * math.pi) * rest**4 * (1.0 + 4.0 * q)
-    return 315.0 / (64.0 * math.pi) * (1.0 - q * q) ** 3
-
-
-def _pairs(library: Library, asked: Asked) -> tuple[Any, Any]:
-    """Query and point of each pair within the radius. They are searched again: the sum has no use for their list."""
-    points = asked.tensors["points"]
-    grid = NeighborGrid(points, float(asked.arguments["radius"]), device=asked.arguments["device"])
-    found = grid.radius_search(asked.tensors.get("queries", points))
-    offsets = library.on_host(found.offsets)
-    return np.repeat(np.arange(len(offsets) - 1), np.diff(offsets)), library.on_host(found.indices)
 
 
 def _kernel(asked: Asked) -> str:
@@ -43,53 +26,64 @@ def _kernel(asked: Asked) -> str:
     return kernel
 
 
-def _density(library: Library, asked: Asked, answer: Any) -> tuple[Any, ...]:
-    kernel, radius = _kernel(asked), float(asked.arguments["radius"])
+def _found(asked: Asked) -> tuple[NeighborGrid, Any]:
+    """The points as a grid, and the pairs within the radius. They are searched again: the sum has no use for a list."""
     points = asked.tensors["points"]
-    queries = asked.tensors.get("queries", points)
-    row, other = (library.constant(numbers, points) for numbers in asked.prepared)
-    away = length(library, library.take(queries, row) - library.take(points, other)) / radius
-    mass = library.constant(np.broadcast_to(np.asarray(asked.arguments["mass"], np.float64), (len(points),)), points)
-    return (library.add(library.take(mass, other) * _smoothed(library, kernel, away), row, len(queries)) / radius**3,)
+    grid = NeighborGrid(split(points)[0], float(asked.arguments["radius"]), device=asked.arguments["device"])
+    return grid, grid.radius_search(split(asked.tensors.get("queries", points))[0])
 
 
-def _slope(kernel: str, q: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The derivative of :func:`_smoothed` by q."""
+def _slope(library: Library, kernel: str, q: Any) -> Any:
+    """The derivative of W * radius^3 by a share q of the radius, at most 1."""
     rest = 1.0 - q
     if kernel == "cubic_spline":
-        return 8.0 / math.pi * np.where(q <= 0.5, (18.0 * q - 12.0) * q, -6.0 * rest * rest)
+        return 8.0 / math.pi * library.where(q <= 0.5, (18.0 * q - 12.0) * q, -6.0 * rest * rest)
     if kernel == "wendland_c2":
         return -210.0 / math.pi * q * rest**3
     return -945.0 / (32.0 * math.pi) * q * (1.0 - q * q) ** 2
 
 
-def _adjoint(asked: Asked, answer: Any, slopes: Any, wanted: list[str], arrays: Any) -> dict[str, Any] | None:
-    """First derivatives with NumPy, for jax, to which the number of pairs is not known before."""
-    if not isinstance(slopes[0], np.ndarray):
-        return None
-    kernel, radius = _kernel(asked), float(asked.arguments["radius"])
-    points = asked.tensors["points"].astype(np.float64)
-    queries = asked.tensors.get("queries", points).astype(np.float64)
-    grid = NeighborGrid(points, radius, device=asked.arguments["device"])
-    found = grid.radius_search(queries)
-    row, other = np.repeat(np.arange(len(queries)), np.diff(found.offsets)), found.indices
-    away = queries[row] - points[other]
-    size = np.sqrt((away * away).sum(1))
-    mass = np.broadcast_to(np.asarray(asked.arguments["mass"], np.float64), (len(points),))
-    share = np.divide(_slope(kernel, size / radius), size, out=np.zeros_like(size), where=size > 0.0)
-    pulls = (slopes[0][row] * mass[other] * share / radius**4)[:, None] * away
-
-    def added(rows: Any, count: int) -> NDArray[np.float64]:
-        return np.stack([np.bincount(rows, pulls[:, axis], minlength=count) for axis in range(3)], axis=1)
-
-    of_queries, of_points = added(row, len(queries)), -added(other, len(points))
+def _pull(library: Library, asked: Asked, answer: Any, slopes: Any) -> dict[str, Any]:
+    radius, found = float(asked.arguments["radius"]), _found(asked)[1]
+    points, slope = library.wide(asked.tensors["points"]), library.wide(slopes[0])
+    queries = library.wide(asked.tensors.get("queries", points))
+    row, other = library.listed(found.offsets, len(found.indices)), library.whole(found.indices)
+    mass = library.constant(np.broadcast_to(read_numbers(asked.arguments["mass"], "mass"), (len(points),)), points)
+    away = library.take(queries, row) - library.take(points, other)
+    far = length(library, away)
+    by_far = library.take(slope, row) * mass[other] * _slope(library, _kernel(asked), far / radius) / radius**4
+    pulls = (by_far / library.where(far > 0.0, far, 1.0))[:, None] * away
+    of_queries, of_points = library.add(pulls, row, len(queries)), -library.add(pulls, other, len(points))
     if "queries" in asked.tensors:
         return {"points": of_points, "queries": of_queries}
     return {"points": of_points + of_queries}
+
+
+def _adjoint(asked: Asked, answer: Any, slopes: Any, wanted: list[str], arrays: Any) -> dict[str, Any] | None:
+    """The slopes of the distances by one kernel, and from them those of the points as of a search."""
+    from geokit.points.clouds import density_slopes_kernels as kernels
+
+    if arrays.device != launcher.resolve_device(asked.arguments["device"]) or slopes[0] is None:
+        return None
+    kernel = _kernel(asked)
+    grid, found = _found(asked)
+    smoothing: Any = kernels.SMOOTHING[kernel]()
+    smoothing.inverse_radius = wp.float64(1.0 / float(asked.arguments["radius"]))
+    mass = wp.array(np.ravel(read_numbers(asked.arguments["mass"], "mass")), dtype=wp.float64, device=arrays.device)
+    by = arrays.made(len(found.indices), 1)
+    lists = [arrays.given(part) for part in (found.offsets, found.indices, found.distance)]
+    arrays.launch(
+        kernels.DENSITY_SLOPES[kernel][arrays.number],
+        len(found.offsets) - 1,
+        [*lists, mass, smoothing, arrays.given(slopes[0])],
+        [by],
+    )
+    asked = asked._replace(arguments={"self": grid})
+    return of_grid(asked, found.indices, by, wanted, arrays, offsets=found.offsets)
 
 
 def _shapes(asked: Asked) -> list[tuple[tuple[int, ...], str]]:
     return [((asked.tensors.get("queries", asked.tensors["points"]).shape[0],), "float")]
 
 
-DENSITY = Rule((True,), _density, prepare=_pairs, adjoint=_adjoint, is_traced=False, check=_kernel, shapes=_shapes)
+DENSITY = Rule((True,), pull=_pull, adjoint=_adjoint, is_traced=False, check=_kernel, shapes=_shapes)

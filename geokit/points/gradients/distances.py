@@ -19,7 +19,7 @@ from geokit.points.gradients.pair_slopes_kernels import PAIR_SLOPES
 # Rows that can be sorted by the point that they belong to: twice as many places, numbered with 31 bits.
 MOST_SUMMED = 2**30 - 1
 
-__all__ = ["BETWEEN", "BETWEEN_GROUPS", "IMAGES", "NEAREST", "WITHIN"]
+__all__ = ["BETWEEN", "BETWEEN_GROUPS", "IMAGES", "NEAREST", "WITHIN", "of_grid"]
 
 
 def _away(library: Library, queries: Any, points: Any, indices: Any) -> Any:
@@ -44,7 +44,7 @@ def _both(library: Library, asked: Asked) -> tuple[Any, Any]:
 
 
 def _nearest_adjoint(asked: Asked, answer: Any, slopes: Any, wanted: list[str], arrays: Any) -> dict[str, Any] | None:
-    return _of_grid(asked, answer[1], slopes[0], wanted, arrays, width=answer[1].shape[1])
+    return of_grid(asked, answer[1], slopes[0], wanted, arrays, width=answer[1].shape[1])
 
 
 def _within_adjoint(asked: Asked, answer: Any, slopes: Any, wanted: list[str], arrays: Any) -> dict[str, Any] | None:
@@ -52,12 +52,10 @@ def _within_adjoint(asked: Asked, answer: Any, slopes: Any, wanted: list[str], a
     if shifts is None:
         _require_no_images(asked)
     cell = None if shifts is None else grid._cell
-    return _of_grid(asked, answer[1], slopes[2], wanted, arrays, offsets=answer[0], shifts=shifts, cell=cell)
+    return of_grid(asked, answer[1], slopes[2], wanted, arrays, offsets=answer[0], shifts=shifts, cell=cell)
 
 
-def _of_grid(
-    asked: Asked, indices: Any, by: Any, wanted: list[str], arrays: Any, **lists: Any
-) -> dict[str, Any] | None:
+def of_grid(asked: Asked, indices: Any, by: Any, wanted: list[str], arrays: Any, **lists: Any) -> dict[str, Any] | None:
     """The derivatives by queries and points of a grid, in one kernel and, for the points, one sum."""
     grid, queries = asked.arguments["self"], asked.tensors.get("queries")
     count, pairs = len(grid) if queries is None else len(queries), math.prod(indices.shape)

@@ -151,18 +151,8 @@ def _pull(library: Library, asked: Asked, answer: Any, slopes: Any) -> dict[str,
     return {name: library.once(part, message, tensors) for name, part in found.items()}
 
 
-def _adjoint(asked: Asked, answer: Any, slopes: Any, wanted: list[str], arrays: Any) -> dict[str, Any] | None:
-    if not isinstance(answer[0], np.ndarray):
-        return None
-    walk = _Walk(asked, *(asked.tensors[name].astype(np.float64) for name in ("origins", "directions")))
-    transmittance, emission = walk.answer()
-    by_transmittance, by_emission = (np.zeros(len(emission)) if slope is None else slope for slope in slopes)
-    rows = [by_transmittance * transmittance, by_emission * float(walk.emits), emission]
-    return walk.derivatives(np.stack(rows, axis=-1))
-
-
 def _shapes(asked: Asked) -> list[tuple[tuple[int, ...], str]]:
     return [((asked.tensors["origins"].shape[0],), "float")] * 2
 
 
-INTEGRATE = Rule((True, True), pull=_pull, adjoint=_adjoint, is_traced=False, shapes=_shapes)
+INTEGRATE = Rule((True, True), pull=_pull, is_traced=False, shapes=_shapes)

@@ -6,6 +6,8 @@ from typing import Any
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.core.gradients.sums_kernels import overloads
+
 # Without fused multiply-adds a GPU gives the same bits as a CPU.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -27,14 +29,4 @@ def sample_slopes_kernel(
 
 
 # By the type of the points' coordinates.
-SAMPLE_SLOPES = {
-    number: wp.overload(
-        sample_slopes_kernel,
-        {
-            "by_sample": wp.array(dtype=number),
-            "gradient": wp.array(dtype=vector),
-            "out_slopes": wp.array(dtype=vector),
-        },
-    )
-    for number, vector in ((wp.float32, wp.vec3f), (wp.float64, wp.vec3d))
-}
+SAMPLE_SLOPES = overloads(sample_slopes_kernel, ("gradient", "out_slopes"), ("by_sample",))

@@ -300,7 +300,9 @@ def test_kernels_before_and_after(device: str) -> None:
 
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("dtype", [wp.float32, wp.float64, wp.vec3f, wp.vec3d])
-@pytest.mark.parametrize("name", ["closest_point", "signed_distance", "sample", "vertices", "values"])
+@pytest.mark.parametrize(
+    "name", ["closest_point", "signed_distance", "sample", "winding_number", "density", "vertices", "values"]
+)
 def test_types_of_arrays(name: str, dtype: Any, device: str) -> None:
     """Each array type has the gradients of float64 rows, in its own type."""
     rows, corners, numbers = (part.astype(np.float32).astype(np.float64) for part in (AROUND, BODY.vertices, values()))
@@ -317,6 +319,10 @@ def test_types_of_arrays(name: str, dtype: Any, device: str) -> None:
                 answer = ball().sample(given[0], device=device)
             elif name == "values":
                 answer = valued(given[1]).sample(given[0], device=device)
+            elif name == "winding_number":
+                answer = gk.mesh.Surface((corners, OPEN.faces), device=device).winding_number(given[0])
+            elif name == "density":
+                answer = gk.points.density(given[0], radius=0.5, kernel="cubic_spline", device=device)
             else:
                 body = gk.mesh.Surface((given[-1] if name == "vertices" else corners, BODY.faces), device=device)
                 answer = getattr(body, name if name != "vertices" else "signed_distance")(given[0]).distance
@@ -334,23 +340,67 @@ def test_types_of_arrays(name: str, dtype: Any, device: str) -> None:
             np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5)
 
 
+@pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.parametrize("single", [0, 1])
+@pytest.mark.parametrize("name", ["raycast", "chamfer", "density"])
+def test_two_precisions_parts_of_arrays_and_another_device(name: str, single: int, device: str) -> None:
+    """Arguments of float32 and float64, with gaps and on the CPU, have the gradients of arrays without all that."""
+    pair = [part.astype(np.float32).astype(np.float64) for part in ((ORIGINS, WAYS) if name == "raycast" else (A, B))]
+
+    def ask(first: Any, second: Any) -> Any:
+        if name == "raycast":
+            return gk.mesh.Surface(BODY, device=device).raycast(first, second).t
+        if name == "chamfer":
+            return gk.points.chamfer(first, second, device=device).distance
+        return gk.points.density(first, radius=0.4, kernel="wendland_c2", queries=second, device=device)
+
+    kinds = [wp.vec3f if number == single else wp.vec3d for number in range(2)]
+    wholes = [on_tape(np.repeat(part, 2, axis=0), kind) for part, kind in zip(pair, kinds, strict=True)]
+    slopes = []
+    for given in (pair, wholes):
+        arrays = [on_tape(one) if given is pair else one[::2] for one in given]
+        with wp.Tape() as tape:
+            answer = ask(*arrays)
+        tape.backward(grads={answer: wp.ones_like(answer, requires_grad=False)})
+        slopes.append([array.grad.numpy() for array in arrays])
+    for expected, found in zip(*slopes, strict=True):
+        assert expected.any()
+        np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5)
+
+
+def test_more_rows_than_a_sum_takes(monkeypatch: pytest.MonkeyPatch) -> None:
+    from geokit.points.gradients import distances
+
+    monkeypatch.setattr(distances, "MOST_SUMMED", 10)
+    points = on_tape(A)
+    with wp.Tape() as tape:
+        found = cloud(points).knn(k=3)
+    with pytest.raises(gk.InputError, match="points: too many rows for one sum of derivatives; ask in parts"):
+        tape.backward(grads={found.distance: wp.ones_like(found.distance, requires_grad=False)})
+
+
 @pytest.mark.parametrize("dtype", [wp.vec3f, wp.vec3d])
 @pytest.mark.parametrize("device", DEVICES)
 def test_what_has_a_kernel_stays_on_its_device(device: str, dtype: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    from geokit.core.gradients import on_tape as module
+    from geokit.core.gradients import with_numpy as module
 
     def fail(*_: Any) -> None:
         raise AssertionError("on the host")
 
-    monkeypatch.setattr(module, "pulled", fail)
-    vertices, points, ways, both = (on_tape(rows, dtype, device) for rows in (BODY.vertices, AROUND, -AROUND, PACKED))
+    monkeypatch.setattr(module, "_on_host", fail)
+    rows = (BODY.vertices, AROUND, -AROUND, PACKED, BODY.vertices)
+    vertices, points, ways, both, some = (on_tape(part, dtype, device) for part in rows)
     body = gk.mesh.Surface((vertices, BODY.faces), device=device)
     many = gk.mesh.Surfaces((both, TWICE, BEGIN), device=device)
     with wp.Tape() as tape:
         answers = [body.closest_point(points).distance, body.signed_distance(points).points]
         answers += [body.raycast(points, ways).t, many.closest_point(points, HALVES).barycentric]
         answers.append(ball().sample(points, device=device))
+        answers.append(gk.mesh.Surface((some, OPEN.faces), device=device).winding_number(points))
+        answers.append(gk.points.density(points, radius=0.5, kernel="poly6", queries=ways, device=device))
     pulled(tape, answers, weights_of(answers))
+    # Only the vertices of the border move winding numbers.
+    assert 3 < some.grad.numpy().any(axis=1).sum() < len(some)
     for array in (vertices, points, ways, both):
         assert array.grad.numpy().any(axis=1).sum() > 0.8 * min(len(array), len(points))
 
@@ -359,7 +409,8 @@ def test_what_has_a_kernel_stays_on_its_device(device: str, dtype: Any, monkeypa
 @pytest.mark.parametrize("outputs", [["distance"], ["distance", "points", "barycentric"]])
 def test_kernels_agree_with_the_rule_at_kinks(query: str, outputs: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """Far and near, on faces, edges and vertices, at distance 0, and beside a triangle without area."""
-    from geokit.core.gradients import on_tape as module
+    torch = pytest.importorskip("torch")
+    from geokit.core.gradients import with_torch as module
 
     flat = np.concatenate([BODY.faces, [[0, 1, 1], [2, 2, 2]]])
     body = gk.mesh.Surface((BODY.vertices, flat), device="cpu")
@@ -368,16 +419,16 @@ def test_kernels_agree_with_the_rule_at_kinks(query: str, outputs: list[str], mo
     centers = BODY.vertices[BODY.faces].mean(axis=1)
     rows = np.concatenate([AROUND, found.points + 1e-9 * away, centers, BODY.vertices, 1.5 * BODY.vertices])
 
-    def slopes() -> tuple[np.ndarray, np.ndarray]:
-        points, vertices = on_tape(rows), on_tape(BODY.vertices)
-        with wp.Tape() as tape:
-            answer = getattr(gk.mesh.Surface((vertices, flat), device="cpu"), query)(points)
+    def slopes() -> list[np.ndarray]:
+        points, vertices = (torch.tensor(part, requires_grad=True) for part in (rows, BODY.vertices))
+        answer = getattr(gk.mesh.Surface((vertices, flat), device="cpu"), query)(points)
+        random = np.random.default_rng(2)
         some = [getattr(answer, name) for name in outputs]
-        pulled(tape, some, weights_of(some))
-        return points.grad.numpy(), vertices.grad.numpy()
+        sum((one * torch.tensor(random.standard_normal(one.shape))).sum() for one in some).backward()
+        return [points.grad.numpy(), vertices.grad.numpy()]
 
     by_kernel = slopes()
-    monkeypatch.setattr(module, "pulled_by_kernel", lambda *_: None)
+    monkeypatch.setattr(module, "by_kernel", lambda *_: None)
     for found_slopes, expected in zip(by_kernel, slopes(), strict=True):
         assert np.isfinite(found_slopes).all()
         # Directions between points that are 1e-9 apart are known to 1e-6.

@@ -8,11 +8,14 @@ import warp as wp
 
 torch = pytest.importorskip("torch")
 
+from benchmarks.catalog import mesh_catalog  # noqa: E402
 from geokit import mesh  # noqa: E402
+from geokit.mesh.sign import gradients  # noqa: E402
 from tests.support.gradient_checks import tensor  # noqa: E402
 
 FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3]])
 STEP = 1e-6
+NEAR = np.random.default_rng(5).standard_normal((40, 3))
 
 
 def exact(points, vertices):
@@ -47,6 +50,38 @@ def test_by_points_and_vertices(as_given):
             step[row, axis] = STEP
             slope = side * (exact(points, vertices + step) - exact(points, vertices - step)).sum() / (2.0 * STEP)
             assert by_vertices[row, axis] == pytest.approx(slope, abs=1e-6)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("parts", [1, 7, 1024])
+def test_kernels_agree_with_what_is_differentiated_further(parts, dtype, monkeypatch):
+    """Also on the lines of edges, a rounding beside them, and far away; in any number of parts of the points."""
+    monkeypatch.setattr(gradients, "MOST_PARTS", parts)
+    body = mesh_catalog.icosphere()
+    faces, ends = body.faces[: body.face_count // 2], body.vertices[:2]
+    beside = ends.mean(axis=0) + np.array([[0.0, 0.0, 1e-9], [0.0, 0.0, 1e6]])
+    rows = np.concatenate([NEAR, 3.0 * NEAR, body.vertices, 2.0 * ends - ends[::-1], beside])
+    points, vertices = tensor(rows).to(dtype).requires_grad_(), tensor(body.vertices).requires_grad_()
+    winding = mesh.Surface((vertices, faces), device="cpu").winding_number(points)
+    weights = torch.linspace(-1.0, 1.0, len(points), dtype=dtype)
+    by_kernel, by_rule = (
+        torch.autograd.grad(winding, (points, vertices), weights, create_graph=further, retain_graph=True)
+        for further in (False, True)
+    )
+    for found, expected in zip(by_kernel, by_rule, strict=True):
+        torch.testing.assert_close(found, expected.detach(), rtol=1e-12 if dtype == torch.float64 else 1e-6, atol=1e-12)
+
+
+def test_second_derivatives():
+    body = mesh_catalog.icosphere()
+
+    def slopes(points, vertices):
+        winding = mesh.Surface((vertices, body.faces[:7]), device="cpu").winding_number(points)
+        weights = torch.linspace(-1.0, 1.0, len(points), dtype=points.dtype)
+        return torch.autograd.grad(winding, (points, vertices), weights, create_graph=True)
+
+    given = tensor(NEAR[:5]).requires_grad_(), tensor(body.vertices).requires_grad_()
+    assert torch.autograd.gradcheck(slopes, given, atol=1e-6, nondet_tol=0.0, fast_mode=True)
 
 
 def test_closed_meshes_have_none():
