@@ -17,7 +17,7 @@ from geokit.core.require import require_path
 from geokit.errors import FileAccessError, FileFormatError, GeokitError, InputError
 
 __all__ = [
-    "atomic_path", "extension", "in_one_line", "is_there", "named_damage", "refuse_empty", "refuse_pointer",
+    "atomic_path", "damaged", "extension", "in_one_line", "is_there", "named_damage", "refuse_empty", "refuse_pointer",
     "require_extension", "require_file", "require_room", "size_of",
 ]  # fmt: skip
 
@@ -261,6 +261,11 @@ def _copy(part: Path, real: Path) -> None:
         os.fsync(file.fileno())
 
 
+def damaged(path: Path | str, why: str) -> FileFormatError:
+    """The error of a file whose content is wrong, which its program may write again."""
+    return FileFormatError(f"{path}: {why}; the file is damaged, export it again")
+
+
 @contextlib.contextmanager
 def named_damage(path: Path) -> Iterator[None]:
     """Context in which a file is read: NumPy says nothing of bytes that are no numbers, and errors are named.
@@ -294,6 +299,4 @@ def named_damage(path: Path) -> Iterator[None]:
     except Exception as error:
         reason = f"{type(error).__name__}: {in_one_line(str(error))}"
         kind = f" as {path.suffix.lower()}" if path.suffix else ""  # folders and slices of DICOM have none
-        raise FileFormatError(
-            f"{path}: cannot be read{kind} ({reason}); the file is damaged, export it again"
-        ) from error
+        raise damaged(path, f"cannot be read{kind} ({reason})") from error

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core.equal_rows import merge_equal_points
+from geokit.core.files import damaged
 from geokit.errors import FileFormatError
 from geokit.formats.file_content.body import Body
 from geokit.formats.text_files.plain import plain_text
@@ -149,9 +150,7 @@ def _facets(text: bytes, path: Path) -> NDArray[np.float64]:
         if word is not None and whole:
             whole = all(token == word or token.lower() == word for token in tokens[at::stride])
     if not whole:
-        raise FileFormatError(
-            f"{path}: a solid holds something else than facets of three vertices; the file is damaged, export it again"
-        )
+        raise damaged(path, "a solid holds something else than facets of three vertices")
     columns = [tokens[at + axis :: stride] for at in (8, 12, 16) for axis in range(3)]
     table = [numbers(column, np.float64, path, "vertices") for column in columns]
     return np.stack(table, axis=1).reshape(-1, 3)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from geokit._packages import require_package
 from geokit._warn import warn
 from geokit.core.base.forks import Lock
+from geokit.core.files import damaged
 from geokit.errors import FileFormatError
 from geokit.formats.attributes.columns import xml_name
 from geokit.formats.file_content.body import Body
@@ -100,9 +101,7 @@ def read_mesh(path: Path) -> list[Body]:
     # VTK reports a damaged file only as text and returns what it has read so far.
     message = reported(said)
     if "ERR" in message or "Error" in message or data is None:
-        raise FileFormatError(
-            f"{path}: cannot be read ({_without_pointers(message) or 'no data'}); the file is damaged, export it again"
-        )
+        raise damaged(path, f"cannot be read ({_without_pointers(message) or 'no data'})")
     if message:
         warn(_without_pointers(message))
     if data.GetNumberOfPoints() == 0:
@@ -200,9 +199,7 @@ def _data_set(path: Path) -> Any:
     reader.SetFileName(os.fsencode(path))
     reader.Update()
     if reader.GetErrorCode():
-        raise FileFormatError(
-            f"{path}: cannot be read (VTK: {_error_name(reader.GetErrorCode())}); the file is damaged, export it again"
-        )
+        raise damaged(path, f"cannot be read (VTK: {_error_name(reader.GetErrorCode())})")
     return reader.GetOutput()
 
 

@@ -27,12 +27,12 @@ __all__ = ["Simplified", "simplify"]
 # Mapping into the unit frame and back rounds coordinates a few times.
 FRAME_ROUNDINGS = 4.0 * float(np.finfo(np.float64).eps)
 # Share of the tolerance that edges are collapsed within at first. The collapse looks at points only, so a place between
-# them may be too far. Then the share is less by as much, and a little more; below a share, more points are looked at.
+# them may be too far. Then the share is so much less there, and in the last trials everywhere.
 SHARE = 0.92
-LESS = 0.98
-COARSE_SHARE = 0.85
+LESS = 0.7
+LOCAL = 10
 # Such trials before the mesh is left as it is.
-TRIALS = 8
+TRIALS = 16
 # Width of the bounds of the deviation that is returned, as a share of the tolerance.
 BOUND_SHARE = 0.02
 # The same where only a number of faces is given, as a share of the mesh's size.
@@ -99,8 +99,8 @@ def simplify(
         mesh: The mesh, with at least one face.
         tolerance: Largest distance between the surfaces [world].
         face_count: Largest number of faces.
-        device: Where distances are measured: "cpu", "cuda:0", ...; None for the first GPU, else the CPU. Collapsing
-            runs on one CPU thread.
+        device: Where distances are measured: "cpu", "cuda:0", ...; None for the first GPU, else the CPU. Edges are
+            collapsed on the CPU: on its threads within a tolerance, on one of them to a number of faces.
         progress: Called as ``progress(percent, 100)`` many times, with an estimate of the end.
     Returns:
         Simplified with mesh, deviation and deviation_p999 [world].
@@ -171,12 +171,13 @@ def _with_face_count(mesh: TriangleMesh, wanted: int, device: Any) -> Simplified
     if wanted >= len(mesh.faces):
         return Simplified(mesh, 0.0, 0.0)
     original = _Original(mesh, device)
-    found = original.collapsed(math.inf, wanted)
-    if found is not None and len(found.faces) <= wanted:
-        surface, bound = original.bounded(found, BOUND_SIZE)
+    found, _ = original.collapsed(math.inf, wanted)
+    if len(found.faces) <= wanted:
+        surface = original.surface_of(found)
+        bound = original.bound(surface, BOUND_SIZE)
         if original.is_kept_by(found, bound):
             return original.measured(surface, bound)
-    reachable = len(mesh.faces) if found is None else max(len(found.faces), wanted + 1)
+    reachable = max(len(found.faces), wanted + 1)
     raise InputError(
         f"face_count: with {wanted} faces {mesh.name or 'the mesh'} would not hang together as it does; "
         f"ask for {reachable} or more"
@@ -208,25 +209,30 @@ class _Original:
 
     def fewest(self, limit: float) -> Simplified | None:
         """The mesh with the fewest faces found within the limit; None if nothing could be collapsed."""
-        from geokit.mesh.simplification.deviation import within
+        from geokit.mesh.simplification.proof import Proof
 
-        share, fine = SHARE, False
+        faces = self.local.faces
+        limits, proof = np.full(len(faces), SHARE * limit), Proof(self.surface, limit, self.shape.oriented)
         for number in range(TRIALS):
-            found = self.collapsed(share * limit, 0, fine, number)
-            if found is None:
+            found, source = self.collapsed(limits, 0, number)
+            if len(found.faces) == len(faces):
                 return None
-            surface, bound = self.bounded(found, BOUND_SHARE * limit)
-            nearly = (1.0 + 2.0 * BOUND_SHARE) * limit
-            proven = bound <= limit or (bound <= nearly and within(self.surface, surface, limit))
-            if proven and self.is_kept_by(found, limit):
-                return self.measured(surface, bound)
-            share *= LESS * limit / max(bound, limit)
-            if share < COARSE_SHARE and not fine:
-                share, fine = SHARE, True
+            surface = self.surface_of(found)
+            wrong = proof.wrong(surface, source)
+            if not wrong.any():
+                if self.keeps_shape(found):
+                    return self.measured(surface, self.bound(surface, BOUND_SHARE * limit))
+                wrong[:] = True
+            # And around it.
+            at = np.zeros(len(self.local.vertices), bool)
+            at[faces[wrong]] = True
+            limits[at[faces].any(axis=1) | (number >= LOCAL)] *= LESS
         return None
 
-    def collapsed(self, limit: float, face_count: int, fine: bool = False, number: int = 0) -> TriangleMesh | None:
-        """The mesh with edges collapsed within the limit, or None if there is none to collapse."""
+    def collapsed(
+        self, limit: NDArray[np.float64] | float, face_count: int, number: int = 0
+    ) -> tuple[TriangleMesh, NDArray[np.int64]]:
+        """The mesh with edges collapsed within the limit, and the face of the original that each face was."""
         from geokit.mesh.simplification.collapse import collapsed
 
         most = len(self.local.faces)
@@ -235,26 +241,33 @@ class _Original:
             if self.progress is not None:
                 self.progress(int(LAST_PERCENT * (1.0 - 0.5**number * (0.5 + 0.5 * left / most))), 100)
 
-        found = collapsed(self.local, limit, face_count, fine=fine, tell=tell)
-        return None if len(found.faces) == most else found
+        return collapsed(self.local, limit, face_count, tell=tell)
+
+    def keeps_shape(self, found: TriangleMesh) -> bool:
+        from geokit.mesh.simplification.invariants import shape_of
+
+        return self.shape.is_kept_by(shape_of(found))
 
     def is_kept_by(self, found: TriangleMesh, distance: float) -> bool:
         """Whether topology and sides of the faces are the original's, compared within a distance."""
-        from geokit.mesh.simplification.invariants import has_similar_normals, shape_of
+        from geokit.mesh.simplification.invariants import turned_faces
 
-        if not self.shape.is_kept_by(shape_of(found)):
-            return False
-        return not self.shape.oriented or has_similar_normals(found, self.surface, distance)
+        return self.keeps_shape(found) and not (
+            self.shape.oriented and len(turned_faces(found, self.surface, distance))
+        )
 
-    def bounded(self, found: TriangleMesh, width: float) -> tuple[Surface, float]:
-        """The surface of a mesh at unit size, and an upper bound of its deviation."""
-        from geokit.mesh._hausdorff import hausdorff
+    def surface_of(self, found: TriangleMesh) -> Surface:
         from geokit.mesh.surfaces.surface import Surface
 
-        surface = Surface(found, device=self.device)
-        corners = np.concatenate([self.local.bounds, found.bounds])
+        return Surface(found, device=self.device)
+
+    def bound(self, surface: Surface, width: float) -> float:
+        """An upper bound of the deviation of a mesh at unit size."""
+        from geokit.mesh._hausdorff import hausdorff
+
+        corners = np.concatenate([self.local.bounds, surface.mesh.bounds])
         diagonal = float(np.linalg.norm(corners.max(axis=0) - corners.min(axis=0)))
-        return surface, hausdorff(self.surface, surface, tolerance=width / diagonal, samples=0).upper
+        return hausdorff(self.surface, surface, tolerance=width / diagonal, samples=0).upper
 
     def measured(self, surface: Surface, bound: float) -> Simplified:
         """The mesh in world coordinates with its deviation."""

@@ -23,11 +23,11 @@ from tests.house.test_rooms import FORWARDING, PACKAGE, edges
 # to verbs. Annotations of public names with Any.
 MOST_FILES = 26
 CEILINGS = {
-    "lines": 116550,
+    "lines": 116500,
     "files in mesh/bvh": 33,
     "files in mesh/queries": 31,
     "files in native/src": 42,
-    "files in points/search": 32,
+    "files in points/search": 30,
     "files in volume/tree": 31,
     "folders in knots": 0,
     "files in import circles": 33,

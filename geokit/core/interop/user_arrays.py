@@ -47,6 +47,7 @@ __all__ = [
     "empty_outputs",
     "full",
     "mapped",
+    "narrowed",
     "ray_limits",
     "read_numbers",
     "read_rows",
@@ -525,10 +526,11 @@ def _narrowed(out: "wp.array", is_float32: bool) -> "wp.array":
         return out
     if out.device.is_cpu:
         return wp.array(out.numpy().astype(np.float32), dtype=narrow, device="cpu")
-    return _narrowed_there(out, narrow)
+    return narrowed(out, narrow)
 
 
-def _narrowed_there(out: "wp.array", narrow: Any) -> "wp.array":
+def narrowed(out: "wp.array", narrow: Any) -> "wp.array":
+    """Numbers or vectors of float64 as ``narrow``, of float32, on their device."""
     import warp as wp
 
     from geokit.core.interop.user_arrays_kernels import narrow_kernel

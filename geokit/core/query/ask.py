@@ -14,8 +14,7 @@ from geokit.core.gradients.rules import require_constant
 from geokit.core.launches import replay
 from geokit.core.memory.needs import estimated, guarded
 from geokit.core.memory.needs import rows as count
-from geokit.core.poses import placed
-from geokit.core.poses.move import BYTES_PER_MOVE
+from geokit.core.poses.move import BYTES_PER_MOVE, answer_placed, refuse_tracked
 
 __all__ = ["query"]
 
@@ -62,10 +61,10 @@ def ask(query: Query, given: tuple[Any, ...], options: dict[str, Any]) -> Any:
         if options["transform"] is None:
             del options["transform"]
         elif query.is_packed:
-            placed.refuse_tracked(query, given, options)
+            refuse_tracked(query, given, options)
         else:
             need = functools.partial(_need, query, *given, **options)
-            return guarded(query.name, need, placed.answer, query, given, options)
+            return guarded(query.name, need, answer_placed, query, given, options)
     # 3. Tensors with gradients, also those that the object holds, give an answer that carries them.
     if query.gradient is not None:
         answer = with_gradients(query, given, options)

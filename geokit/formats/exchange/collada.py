@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit._packages import require_package
+from geokit.core.files import damaged
 from geokit.errors import FileFormatError
 from geokit.formats.attributes.mtl import image_content
 from geokit.formats.file_content.body import Body, FileMaterial
@@ -148,10 +149,7 @@ def _body(
         indices.append(np.asarray(primitive.vertex_index).ravel())
         counts.append(_counts(primitive))
         if counts[-1].sum() != len(indices[-1]):
-            raise FileFormatError(
-                f"{path}: declares {counts[-1].sum()} corners and holds {len(indices[-1])}; the file is damaged, "
-                "export it again"
-            )
+            raise damaged(path, f"declares {counts[-1].sum()} corners and holds {len(indices[-1])}")
     used = np.concatenate(counts)
     polygon = {"material": np.repeat(np.array(materials, np.int32), [len(part) for part in counts])}
     return Body(
@@ -196,9 +194,7 @@ def _numbers(source: Any, path: Path) -> NDArray[np.float64]:
     numbers = np.array((array.text or "").split(), np.float64)
     declared = array.get("count")
     if (declared is not None and declared.strip() != str(len(numbers))) or len(numbers) != source.data.size:
-        raise FileFormatError(
-            f"{path}: declares {declared} coordinates and holds {len(numbers)}; the file is damaged, export it again"
-        )
+        raise damaged(path, f"declares {declared} coordinates and holds {len(numbers)}")
     return numbers.reshape(source.data.shape)
 
 

@@ -20,6 +20,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core.files import damaged
 from geokit.errors import FileFormatError
 from geokit.formats.file_content.body import Body
 
@@ -126,13 +127,9 @@ class _Archive:
             with zipfile.ZipFile(self.path) as archive:
                 return archive.read(self._parts[_key(name)])
         except KeyError:
-            raise FileFormatError(
-                f"{self.path}: refers to {name[:200]!r}, which is not in it; the file is damaged, export it again"
-            ) from None
+            raise damaged(self.path, f"refers to {name[:200]!r}, which is not in it") from None
         except (zipfile.BadZipFile, zlib.error, OSError, EOFError, ValueError, RuntimeError) as error:
-            raise FileFormatError(
-                f"{self.path}: {name[:200]!r} cannot be unpacked ({error}); the file is damaged, export it again"
-            ) from None
+            raise damaged(self.path, f"{name[:200]!r} cannot be unpacked ({error})") from None
 
     def start(self) -> str:
         """Name of the model with the build."""
@@ -187,14 +184,9 @@ class _Placed:
         path = self.archive.path
         file, here, found = self._found(file, place)
         if found is None:
-            raise FileFormatError(
-                f"{path}: {file} has no object {place.object[:40]!r}; the file is damaged, export it again"
-            )
+            raise damaged(path, f"{file} has no object {place.object[:40]!r}")
         if here in above:
-            raise FileFormatError(
-                f"{path}: object {place.object[:40]!r} in {file} is part of itself; the file is damaged, "
-                "export it again"
-            )
+            raise damaged(path, f"object {place.object[:40]!r} in {file} is part of itself")
         if found.kind in _ASIDE:
             self.aside += 1
             return
@@ -297,9 +289,8 @@ def _parse(data: bytes, where: str, begin: Any, spaces: dict[str, str]) -> None:
     except expat.ExpatError as error:
         raise FileFormatError(f"{where}: is no XML ({error}); the file is damaged, export it again") from None
     except (KeyError, ValueError, IndexError, OverflowError) as error:
-        raise FileFormatError(
-            f"{where}: line {parser.CurrentLineNumber}: cannot be read ({type(error).__name__}: {error}); "
-            "the file is damaged, export it again"
+        raise damaged(
+            where, f"line {parser.CurrentLineNumber}: cannot be read ({type(error).__name__}: {error})"
         ) from None
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit._packages import require_package
+from geokit.core.files import damaged
 from geokit.errors import FileAccessError, FileFormatError
 from geokit.formats.file_content.references import LONGEST, require_inside
 
@@ -105,17 +106,12 @@ def _cells(path: Path, root: Any, topology: Any) -> list[tuple[str, Any]]:
             raise _unread(path, told)
         nodes = _NODES.get(kind) or int(topology.get("NodesPerElement", data.shape[-1] if data.ndim > 1 else 0))
         if nodes < 1 or data.size % nodes:
-            raise FileFormatError(
-                f"{path}: its {data.size} corners are not those of cells of {nodes}; the file is damaged, export it "
-                "again"
-            )
+            raise damaged(path, f"its {data.size} corners are not those of cells of {nodes}")
         rows = data.reshape(-1, nodes)
         blocks = [(kind, list(rows) if kind == "polygon" else rows)]
     declared, count = topology.get("NumberOfElements", topology.get("Dimensions")), sum(len(rows) for _, rows in blocks)
     if declared is not None and math.prod(int(number) for number in declared.split()) != count:
-        raise FileFormatError(
-            f"{path}: declares {declared[:40]} cells and holds {count}; the file is damaged, export it again"
-        )
+        raise damaged(path, f"declares {declared[:40]} cells and holds {count}")
     return blocks
 
 
@@ -207,10 +203,7 @@ def _item(path: Path, root: Any, item: Any, depth: int = 0) -> NDArray[Any]:
     else:
         raise FileFormatError(f"{path}: has an array of the format {form[:40]}, which is not read; save plain arrays")
     if shape and values.size != math.prod(shape):
-        raise FileFormatError(
-            f"{path}: an array of the dimensions {shape} has {values.size} numbers; the file is damaged, export it "
-            "again"
-        )
+        raise damaged(path, f"an array of the dimensions {shape} has {values.size} numbers")
     return values.reshape(shape or -1)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit._packages import require_package
-from geokit.core.files import in_one_line
+from geokit.core.files import damaged, in_one_line
 from geokit.errors import FileFormatError
 from geokit.formats.images.image import (
     Image,
@@ -64,9 +64,7 @@ def read_grids(path: Path, names: list[str]) -> tuple[Any, list[tuple[str, NDArr
         data = reader.GetOutput()
     message = reported(said)
     if message or reader.GetErrorCode() or data is None:
-        raise FileFormatError(
-            f"{path}: cannot be read ({_without_pointers(message)}); the file is damaged, export it again"
-        )
+        raise damaged(path, f"cannot be read ({_without_pointers(message)})")
     extent = np.array(data.GetExtent()).reshape(3, 2)
     direction = [data.GetDirectionMatrix().GetElement(row, column) for row in range(3) for column in range(3)]
     arrays: dict[str, tuple[bool, NDArray[Any]]] = {}

@@ -23,6 +23,7 @@ __all__ = ["BLOCK", "MOST_WAITING", "DistanceSearch", "TrianglePieces", "joined_
 class TrianglePieces(NamedTuple):
     """Pieces of triangles, P of them, with the distances and bounds known for them."""
 
+    face: NDArray[np.int64]  # (P,), the triangle that it is a piece of
     corners: NDArray[np.float64]  # (P, 3, 3): piece, corner, axis [world]
     distance: NDArray[np.float64]  # (P, 3), of the corners
     triangle: NDArray[np.int32]  # (P, 3), the corners' closest triangles
@@ -76,7 +77,8 @@ class DistanceSearch:
         waiting: list[TrianglePieces] = []
         for start in range(0, len(mesh.faces), BLOCK):
             faces = mesh.faces[start : start + BLOCK]
-            waiting.append(self._first_pieces(mesh.vertices[faces], distance[faces], triangle[faces]))
+            face = np.arange(start, start + len(faces))
+            waiting.append(self._first_pieces(face, mesh.vertices[faces], distance[faces], triangle[faces]))
         pieces = joined_pieces(waiting)
         while True:
             pieces = self._undecided(pieces)
@@ -92,12 +94,16 @@ class DistanceSearch:
         return max(self.lower, self.done_upper)
 
     def _first_pieces(
-        self, corners: NDArray[np.float64], distance: NDArray[np.float64], triangle: NDArray[np.int32]
+        self,
+        face: NDArray[np.int64],
+        corners: NDArray[np.float64],
+        distance: NDArray[np.float64],
+        triangle: NDArray[np.int32],
     ) -> TrianglePieces:
         """The whole triangles that neither their corners nor the triangle closest to their center decide."""
         count = len(corners)
         unknown = np.full(count, math.inf), np.zeros(count, np.int32), np.empty(count, np.int32), np.empty((count, 3))
-        pieces = TrianglePieces(corners, distance, triangle, triangle[:, 0].copy(), *unknown)
+        pieces = TrianglePieces(face, corners, distance, triangle, triangle[:, 0].copy(), *unknown)
         self._bound(pieces)
         pieces = self._undecided(pieces)
         pieces.candidate[:] = self.measure(pieces.corners.mean(axis=1))[1]

@@ -15,41 +15,36 @@ from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = ["collapsed"]
 
-# Points at which a face of the input and a new face are looked at: those whose barycentric weights are multiples of one
-# divided by these numbers, coarse and fine. Each point costs time, and few of the coarse ones miss anything.
-INPUT_LATTICE = 1, 4
-NEW_LATTICE = 3, 6
-# Most points of the input, unless the coarse ones alone are more.
-MOST_SAMPLES = 200_000
 # Rounds end when one takes less than this share of the faces.
 ROUND_GAIN = 0.03
-# Edges that one launch tries: between launches Ctrl-C is answered.
-STEPS = 1 << 14
+# Edges of a part that one launch tries: between launches Ctrl-C is answered.
+STEPS = 1 << 11
+# Faces of a part.
+PART = 1 << 14
 
 
 def collapsed(
     mesh: TriangleMesh,
-    limit: float,
+    limit: NDArray[np.float64] | float,
     face_count: int,
     *,
     fixed: NDArray[np.bool_] | None = None,
-    fine: bool = False,
     tell: Callable[[int], None] | None = None,
-) -> TriangleMesh:
+) -> tuple[TriangleMesh, NDArray[np.int64]]:
     """Collapse edges until none keeps the limit or ``face_count`` faces are left.
 
-    The limit is held at points: vertices and other points of the input against the new faces around an edge, and points
-    of these against faces of the input. Elsewhere the distance may be larger.
+    The limit is held at points: vertices and middles of faces of the input against the new faces around an edge, and
+    points of these against faces of the input. Elsewhere the distance may be larger.
 
     Args:
         mesh: About unit-sized and near the origin; one vertex for each position.
-        limit: Distance; inf for none.
+        limit: Distance, also one around each face (F,); inf for none.
         face_count: Wanted number of faces.
         fixed: Whether each vertex stays as it is (V,).
-        fine: Whether to look at more points, which takes several times as long.
         tell: Called with the number of faces that are left, many times.
     Returns:
-        TriangleMesh without unused vertices, with the topology of the input. Corners of flat sides keep their bits.
+        TriangleMesh without unused vertices, with the topology of the input, and the face of the input that each of its
+        faces was. Corners of flat sides keep their bits.
     Source:
         Garland and Heckbert, "Surface simplification using quadric error metrics" (1997). Differs: an edge that would
         pass the limit, flip a face or change the topology (link condition) is left out, and tried again when the faces
@@ -71,40 +66,82 @@ def collapsed(
     first_corner, next_corner = _lists(corner, vertices)
     hold(position=mesh.vertices.copy(), face=corner.copy(), first_corner=first_corner, next_corner=next_corner)
     hold(quadric=np.empty(10 * vertices), locked=np.zeros(vertices, np.int32))
-    hold(fixed=np.zeros(vertices, np.bool_) if fixed is None else fixed)
+    stays = np.zeros(vertices, np.bool_) if fixed is None else fixed
+    hold(fixed=stays.copy())
     hold(error=np.empty(vertices), partner=np.empty(vertices, np.int32))
     hold(tried=np.empty(vertices), tried_partner=np.full(vertices, -1, np.int32))
     sample, sample_face = np.empty((0, 3)), corner[:0]
-    if math.isfinite(limit):
-        sample, sample_face = _samples(mesh, first_corner, INPUT_LATTICE[fine])
+    limited = np.ndim(limit) > 0 or math.isfinite(limit)
+    hold(limit=np.broadcast_to(np.square(limit), faces if limited else 0))
+    if limited:
+        # Vertices and middles of faces, each with one of its faces.
+        used = np.flatnonzero(first_corner >= 0)
+        sample = np.concatenate([mesh.vertices[used], mesh.vertices[mesh.faces].mean(axis=1)])
+        sample_face = np.concatenate([first_corner[used] // 3, np.arange(faces, dtype=np.int32)])
     first_sample, next_sample = _lists(sample_face, faces)
     hold(sample=sample, sample_face=sample_face, first_sample=first_sample, next_sample=next_sample)
     hold(input_position=mesh.vertices, input_face=corner)
-    state.limit, state.lattice = limit, NEW_LATTICE[fine]
     hold(heap=np.empty(vertices, np.int32), heap_place=np.empty(vertices, np.int32))
-    hold(count=np.array([0, faces], np.int32))
-    count, before = kept["count"], math.inf
-    # Each round has quadrics of the faces that are left: the edges that the last one stopped at may cost less now.
-    while count[1] > face_count and count[1] < (1.0 - ROUND_GAIN) * before:
-        before = count[1]
+    left, before, turn = faces, math.inf, 0
+    # Each round has quadrics of the faces that are left: the edges that the last one stopped at may cost less now, and
+    # those between two parts lie within one.
+    while left > face_count and left < (1.0 - ROUND_GAIN) * before:
+        before = left
+        part, sizes = _parts(kept["position"], kept["face"], PART if limited else faces, turn % 2 == 1)
+        np.logical_or(stays, part < 0, out=kept["fixed"])
+        begin = np.cumsum([0, *np.bincount(part[part >= 0], minlength=len(sizes))])
         kept["quadric"][:] = 0.0
         kept["tried"][:] = -1.0
         launcher.launch(kernels.prepare_kernel, vertices, [], [state], device)
         launcher.launch(kernels.choose_kernel, vertices, [], [state], device)
         # Sorted is one way to be a heap.
-        order = np.argsort(kept["error"], kind="stable").astype(np.int32)
-        order = order[kept["partner"][order] >= 0]
-        kept["heap"][: len(order)] = order
+        order = np.lexsort([kept["error"], part])
+        order = order[(part[order] >= 0) & (kept["partner"][order] >= 0)]
+        waiting = np.bincount(part[order], minlength=len(sizes))
+        place = np.arange(len(order)) - np.repeat(np.cumsum(waiting) - waiting, waiting)
+        kept["heap"][begin[part[order]] + place] = order
         kept["heap_place"][:] = -1
-        kept["heap_place"][order] = np.arange(len(order), dtype=np.int32)
-        count[0] = len(order)
-        while count[0] and count[1] > face_count:
-            launcher.launch(kernels.collapse_kernel, 1, [face_count, STEPS], [state], device)
+        kept["heap_place"][order] = place
+        hold(heap_begin=begin[:-1].astype(np.int32))
+        wanted = (
+            -(-sizes * face_count // left) if len(sizes) == 1 else np.maximum(sizes * face_count // left, sizes // 2)
+        )
+        hold(count=np.stack([waiting, sizes, wanted], axis=1).astype(np.int32).reshape(-1))
+        count = kept["count"].reshape(-1, 3).T
+        while ((count[0] > 0) & (count[1] > count[2])).any():
+            launcher.launch(kernels.collapse_kernel, len(sizes), [STEPS], [state], device, grain=1)
+            left = int(count[1].sum())
             if tell:
-                tell(int(count[1]))
-    left = kept["face"].reshape(-1, 3)
-    used, at = np.unique(left[left[:, 0] >= 0], return_inverse=True)
-    return TriangleMesh(kept["position"][used], at.reshape(-1, 3).astype(np.int32))
+                tell(left)
+        turn += 1
+    source = np.flatnonzero(kept["face"][::3] >= 0)
+    used, at = np.unique(kept["face"].reshape(-1, 3)[source], return_inverse=True)
+    return TriangleMesh(kept["position"][used], at.reshape(-1, 3).astype(np.int32)), source
+
+
+def _parts(
+    position: NDArray[np.float64], face: NDArray[np.int32], size: int, shifted: bool
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The part of each vertex, -1 for those of several parts and of none (V,), and the faces of each part.
+
+    Parts are neighbors along a Morton curve; shifted by half, most borders lie within parts.
+    """
+    corners = face.reshape(-1, 3)
+    corners = corners[corners[:, 0] >= 0]
+    part = np.full(len(position), -1)
+    if len(corners) < 2 * size:
+        part[corners] = 0
+        return part, np.array([len(corners)])
+    middle = position[corners].mean(axis=1)
+    low = middle.min(axis=0)
+    device = launcher.resolve_device("cpu")
+    order = launcher.morton_order(HostArray(middle).warp, low, float((middle.max(axis=0) - low).max()), device)
+    of_face = np.empty(len(corners), np.int64)
+    of_face[order.numpy()[: len(corners)]] = (np.arange(len(corners)) + size // 2 * shifted) // size
+    at_corner = of_face.repeat(3)
+    part[corners.reshape(-1)] = at_corner
+    part[corners.reshape(-1)[part[corners.reshape(-1)] != at_corner]] = -1
+    return part, np.bincount(of_face)
 
 
 def _lists(owner: NDArray[Any], count: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
@@ -116,24 +153,3 @@ def _lists(owner: NDArray[Any], count: int) -> tuple[NDArray[np.int32], NDArray[
     first[owner[start]] = start
     following[order[:-1][same]] = order[1:][same]
     return first, following
-
-
-def _samples(
-    mesh: TriangleMesh, first_corner: NDArray[np.int32], lattice: int
-) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Vertices, middles of faces and points of a lattice, each with one of its faces."""
-    used = np.flatnonzero(first_corner >= 0)
-    corners, face = mesh.vertices[mesh.faces], np.arange(len(mesh.faces), dtype=np.int32)
-    points, owner = [mesh.vertices[used], corners.mean(axis=1)], [first_corner[used] // 3, face]
-    # Half of the lattice's square are points of one face alone.
-    while lattice > 1 and lattice * lattice * len(face) > 2 * MOST_SAMPLES:
-        lattice -= 1
-    for i in range(lattice):
-        for j in range(1, lattice - i + (i > 0)):
-            k = lattice - i - j
-            # Points of an edge belong to the face that has it from the lower vertex to the higher one.
-            own = mesh.faces[:, 1] < mesh.faces[:, 2] if i == 0 else slice(None)
-            own = mesh.faces[:, 0] < mesh.faces[:, 1] if k == 0 else own
-            points.append(np.einsum("fvk,v->fk", corners[own], np.array([i, j, k]) / lattice))
-            owner.append(face[own])
-    return np.concatenate(points), np.concatenate(owner)

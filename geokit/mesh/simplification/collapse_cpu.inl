@@ -181,17 +181,18 @@ static constexpr auto prepare = [](int v, const Decimation& state) {
     }
 };
 
-// Collapses edges, the least error first, as long as each keeps the topology, flips no face and stays within the limit.
-// `steps` edges are tried, until `wanted` faces are left. state.count: vertices in the heap, faces left.
-static constexpr auto collapse = [](int, int wanted, int steps, const Decimation& state) {
+// Collapses edges of a part, the least error first, as long as each keeps the topology, flips no face and stays within
+// the limit. `steps` edges are tried, until as few faces are left as are wanted. All that a collapse reads or writes lies
+// in its part, but for places of vertices that stay.
+static constexpr auto collapse = [](int part, int steps, const Decimation& state) {
     int* const face = state.face.data;
     point* const position = state.position.data;
-    int* const heap = state.heap.data;
+    int* const heap = state.heap.data + state.heap_begin.data[part];
     int* const place = state.heap_place.data;
-    int& heap_size = state.count.data[0];
-    int& live = state.count.data[1];
-    const double limit = state.limit * state.limit;
-    const bool limited = limit < INFINITY;
+    int& heap_size = state.count.data[3 * part];
+    int& live = state.count.data[3 * part + 1];
+    const int wanted = state.count.data[3 * part + 2];
+    const bool limited = state.limit.shape[0] > 0;
 
     // The heap holds vertices, by the error of the edge that each has chosen.
     auto before = [&](int a, int b) {
@@ -248,13 +249,16 @@ static constexpr auto collapse = [](int, int wanted, int steps, const Decimation
         double v, w;
         return closest_on_triangle(p - a, b - a, c - a, v, w);
     };
-    auto near_fan = [&](const point& p, int k) {
-        return squared_distance(p, fan.corners[k][0], fan.corners[k][1], fan.corners[k][2]) <= limit;
+    // The squared limit around a sample.
+    auto limit_at = [&](int s) { return state.limit.data[state.sample_face.data[s]]; };
+    auto near_fan = [&](int s, int k) {
+        const point* c = fan.corners[k];
+        return squared_distance(state.sample.data[s], c[0], c[1], c[2]) <= limit_at(s);
     };
     auto near_input = [&](const point& p, int s) {
         const int* c = state.input_face.data + 3 * state.sample_face.data[s];
         const point* input = state.input_position.data;
-        return squared_distance(p, input[c[0]], input[c[1]], input[c[2]]) <= limit;
+        return squared_distance(p, input[c[0]], input[c[1]], input[c[2]]) <= limit_at(s);
     };
     // The new face that an old one becomes; -1 for those that vanish.
     auto becomes = [&](int f) {
@@ -314,7 +318,14 @@ static constexpr auto collapse = [](int, int wanted, int steps, const Decimation
                 const point was = normal_of(corner_of(state, f, 0), corner_of(state, f, 1), corner_of(state, f, 2));
                 const point is = normal_of(corners[0], corners[1], corners[2]);
                 const double both = wp::dot(was, is);
-                if (!(both > 0.0) || !(both * both > FLAT * wp::dot(was, was) * wp::dot(is, is))) return false;
+                const double area = wp::dot(is, is);
+                if (!(both > 0.0) || !(both * both > FLAT * wp::dot(was, was) * area)) return false;
+                double longest = 0.0;
+                for (int i = 0; i < 3; ++i) {
+                    const point edge = corners[(i + 1) % 3] - corners[i];
+                    longest = wp::max(longest, wp::dot(edge, edge));
+                }
+                if (!(area > THIN * longest * longest)) return false;
                 fan.faces[fan.count++] = f;
             }
         return fan.count > 0;
@@ -351,10 +362,9 @@ static constexpr auto collapse = [](int, int wanted, int steps, const Decimation
     // Samples of the input against the new faces; the new vertex and points of the new faces against the input.
     auto keeps_limit = [&](const point& x) {
         const bool far = any_sample([&](int s, int own) {
-            const point& p = state.sample.data[s];
-            if (own >= 0 && near_fan(p, own)) return false;
+            if (own >= 0 && near_fan(s, own)) return false;
             for (int k = 0; k < fan.count; ++k)
-                if (near_fan(p, k)) return false;
+                if (near_fan(s, k)) return false;
             return true;
         });
         if (far || !is_near_input(x)) return false;
@@ -365,9 +375,9 @@ static constexpr auto collapse = [](int, int wanted, int steps, const Decimation
             for (int i = 0; i < 3; ++i)
                 if (face[3 * fan.faces[k] + i] == kept || face[3 * fan.faces[k] + i] == gone) at = i;
             // A lattice of barycentric weights, without the outer edge and the one that the next face has too.
-            for (int i = 1; i < state.lattice; ++i)
-                for (int j = 1; j <= state.lattice - i; ++j) {
-                    const double u = (double)i / state.lattice, v = (double)j / state.lattice;
+            for (int i = 1; i < LATTICE; ++i)
+                for (int j = 1; j <= LATTICE - i; ++j) {
+                    const double u = (double)i / LATTICE, v = (double)j / LATTICE;
                     if (!is_near_input(u * x + v * c[(at + 1) % 3] + (1.0 - u - v) * c[(at + 2) % 3])) return false;
                 }
         }
@@ -385,7 +395,8 @@ static constexpr auto collapse = [](int, int wanted, int steps, const Decimation
                 while (*link >= 0) {
                     const int s = *link;
                     const point* c = fan.corners[own < 0 ? 0 : own];
-                    if (own >= 0 && squared_distance(state.sample.data[s], c[0], c[1], c[2]) <= WELL_WITHIN * limit) {
+                    if (own >= 0
+                        && squared_distance(state.sample.data[s], c[0], c[1], c[2]) <= WELL_WITHIN * limit_at(s)) {
                         link = state.next_sample.data + s;
                         continue;
                     }

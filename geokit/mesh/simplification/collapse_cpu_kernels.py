@@ -1,4 +1,4 @@
-"""Edge collapse by quadric errors: vertices are prepared side by side, edges are collapsed by one thread."""
+"""Edge collapse by quadric errors: vertices are prepared side by side, edges of a part are collapsed by one thread."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -22,6 +22,11 @@ FARTHEST = 4.0
 SINGULAR = 1.0e-24
 # Squared cosine of the largest angle by which a face may turn in one collapse.
 FLAT = 0.04
+# Points at which a new face is looked at have barycentric weights that are multiples of one divided by this. Each costs
+# time; what they miss is found by the proof.
+LATTICE = 3
+# Squared share of its longest edge that a new face is high at least; lower ones have no area to an audit.
+THIN = 1.0e-22
 # Squared share of the limit within which a sample keeps its face.
 WELL_WITHIN = 0.0625
 
@@ -48,7 +53,9 @@ class Decimation:
     partner: wp.array(dtype=int)
     tried: wp.array(dtype=wp.float64)
     tried_partner: wp.array(dtype=int)
+    # The heap of each part begins at its place; vertices of several parts stay, and are in none.
     heap: wp.array(dtype=int)
+    heap_begin: wp.array(dtype=int)
     heap_place: wp.array(dtype=int)
     # Points of the input, each with its face there, in lists of the faces that they are near now.
     sample: wp.array(dtype=wp.vec3d)
@@ -57,14 +64,14 @@ class Decimation:
     next_sample: wp.array(dtype=int)
     input_position: wp.array(dtype=wp.vec3d)
     input_face: wp.array(dtype=int)
-    limit: wp.float64
-    # Points of new faces have barycentric weights that are multiples of one divided by this.
-    lattice: int
-    # Vertices in the heap, faces left.
+    # Squared limit around each face of the input; empty for none.
+    limit: wp.array(dtype=wp.float64)
+    # Of each part: vertices in the heap, faces left, and the fewest that are wanted.
     count: wp.array(dtype=int)
 
 
 _CONSTANTS = {
+    "LATTICE": LATTICE,
     "SLIVER_SINE_SQUARED": SLIVER_SINE_SQUARED,
     "MOST": MOST,
     "EVENNESS": EVENNESS,
@@ -72,6 +79,7 @@ _CONSTANTS = {
     "FARTHEST": FARTHEST,
     "SINGULAR": SINGULAR,
     "FLAT": FLAT,
+    "THIN": THIN,
     "WELL_WITHIN": WELL_WITHIN,
 }
 
@@ -88,5 +96,5 @@ def choose_kernel(first: int, out_state: Decimation): ...
 
 @wp.kernel
 @cpp.native_item("mesh/simplification/collapse_cpu.inl", "collapse", **_CONSTANTS)
-def collapse_kernel(first: int, wanted: int, steps: int, out_state: Decimation):
-    """Tries the next ``steps`` edges, until ``wanted`` faces are left."""
+def collapse_kernel(first: int, steps: int, out_state: Decimation):
+    """Tries the next ``steps`` edges of each part."""

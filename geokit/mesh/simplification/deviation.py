@@ -1,4 +1,4 @@
-"""Decide by bounds, not by samples, whether two surfaces are within a distance of each other everywhere."""
+"""The faces of a surface that are not within a distance of another one everywhere: by bounds, not by samples."""
 
 from __future__ import annotations
 
@@ -7,55 +7,46 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.queries.hausdorff import DistanceSearch, TrianglePieces
 from geokit.mesh.surfaces.surface import Surface
 
-__all__ = ["within"]
+__all__ = ["far_faces"]
 
 # A distance within this share below the limit counts as beyond it: deciding exactly would take long.
 SLACK = 0.01
 
 
-def within(one: Surface, other: Surface, limit: float) -> bool:
-    """Whether no point of either surface is farther than the limit from the other surface.
+def far_faces(mesh: TriangleMesh, surface: Surface, limit: float) -> NDArray[np.float64]:
+    """A point of each face that is farther than the limit from a surface (F, 3); NaN for faces that have none.
 
-    True is proven for all points of the triangles. False is certain, except for distances less than 1% below the limit.
+    NaN is proven for all points of the triangle. A point is certain, except for distances less than 1% below the limit.
 
     Args:
-        one: A surface, the larger one: its vertices are measured last.
-        other: Another surface on the same device.
+        mesh: The mesh.
+        surface: What distances are measured from.
         limit: Distance [world], above 0.
     """
-    there, back = _Decision(one, limit), _Decision(other, limit)
-    there_vertices = there.measure_vertices(other.mesh)
-    if there.lower > limit:
-        return False
-    back_vertices = back.measure_vertices(one.mesh)
-    if back.lower > limit:
-        return False
-    there.run(other.mesh, *there_vertices)
-    if there.upper > limit:
-        return False
-    back.run(one.mesh, *back_vertices)
-    return back.upper <= limit
+    search = _FarFaces(surface, limit, mesh.face_count)
+    search.run(mesh, *search.measure_vertices(mesh))
+    return search.point_of
 
 
-class _Decision(DistanceSearch):
-    """A search for the largest distance that drops every piece proven to be within the limit."""
+class _FarFaces(DistanceSearch):
+    """A search that drops pieces within the limit, and all pieces of faces that have a point beyond it."""
 
-    def __init__(self, target: Surface, limit: float) -> None:
-        super().__init__(target, limit, 0.0)
-        self._limit = limit
+    def __init__(self, target: Surface, limit: float, face_count: int) -> None:
+        super().__init__(target, SLACK * limit, 0.0)
+        self.lower, self._limit = (1.0 - SLACK) * limit, limit
+        self.point_of = np.full((face_count, 3), np.nan)
 
     def measure(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-        answer = super().measure(points)
-        # All bounds up to the limit are good enough, so the gap is what the lower bound leaves to it.
-        self._gap = max(SLACK * self._limit, self._limit - self.lower)
-        return answer
+        found: Any = self._surface.closest_point(points)
+        return found.distance, found.triangle_id
 
     def _undecided(self, pieces: TrianglePieces) -> TrianglePieces:
-        if self.upper > self._limit:
-            # Beyond the limit: the remaining pieces cannot change that.
-            none_left: NDArray[Any] = np.zeros(0, np.int64)
-            return pieces.take(none_left)
-        return super()._undecided(pieces)
+        wide = pieces.upper > self._limit
+        corner = pieces.distance.argmax(axis=1)
+        far = np.flatnonzero(wide & (pieces.distance[np.arange(len(corner)), corner] > self.lower))
+        self.point_of[pieces.face[far]] = pieces.corners[far, corner[far]]
+        return pieces.take(wide & np.isnan(self.point_of[pieces.face, 0]))

@@ -13,7 +13,7 @@ from geokit.mesh.surfaces.surface import Surface
 from geokit.mesh.topology.audit import audit_topology
 from geokit.mesh.topology.connectivity import MeshTopology, connected_components, mesh_topology
 
-__all__ = ["Shape", "alike_near", "has_similar_normals", "shape_of"]
+__all__ = ["Shape", "alike_near", "shape_of", "turned_faces"]
 
 # Faces whose neighborhoods are listed at once.
 BLOCK = 1024
@@ -71,8 +71,8 @@ def _boundary_loops(whole: MeshTopology) -> int:
     return int(np.count_nonzero(label == np.arange(len(position))))
 
 
-def has_similar_normals(mesh: TriangleMesh, original: Surface, distance: float) -> bool:
-    """Whether each face has an original face near its center whose normal differs by less than 90 degrees.
+def turned_faces(mesh: TriangleMesh, original: Surface, distance: float) -> NDArray[np.int64]:
+    """Faces that have no original face near their center whose normal differs by less than 90 degrees.
 
     Args:
         mesh: The mesh to check.
@@ -83,7 +83,8 @@ def has_similar_normals(mesh: TriangleMesh, original: Surface, distance: float) 
     before = original.mesh.face_normals
     left = np.flatnonzero(_cosines(normal, before[original.closest_point(middle).triangle_id]) <= 0.0)
     alike = alike_near(original, before, middle[left], normal[left], np.full(len(left), distance))
-    return all(np.bincount(row, minlength=len(block)).all() for block, row, _ in alike)
+    none = [block[np.bincount(row, minlength=len(block)) == 0] for block, row, _ in alike]
+    return left[np.concatenate([*none, np.zeros(0, np.int64)])]
 
 
 def alike_near(

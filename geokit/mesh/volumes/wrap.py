@@ -89,7 +89,7 @@ def wrap(
     for.
 
     Time and memory go with the area over the square of the tolerance; with a hundredth of the size it takes seconds.
-    Faces are merged on one CPU thread. More of them are left where sheets are nearer to each other than the tolerance.
+    Faces are merged on the CPU. More of them are left where sheets are nearer to each other than the tolerance.
 
     Args:
         mesh: Anything with faces. A face may be a point: rows (i, i, i) wrap a cloud.
@@ -191,7 +191,7 @@ def _collapsed(mesh: TriangleMesh, distance: float, fixed: NDArray[np.bool_]) ->
     """The mesh with edges collapsed within a distance, which is held at points only."""
     frame = Frame.around(*mesh.bounds)
     local = TriangleMesh((mesh.vertices - frame.origin) / frame.scale, mesh.faces)
-    found = collapsed(local, distance / frame.scale, mesh.face_count // PART, fixed=fixed)
+    found, _ = collapsed(local, distance / frame.scale, mesh.face_count // PART, fixed=fixed)
     return TriangleMesh(found.vertices * frame.scale + frame.origin, found.faces)
 
 

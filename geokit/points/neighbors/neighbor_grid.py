@@ -15,20 +15,28 @@ from geokit.core.base.forks import Lock
 from geokit.core.base.object_cache import CacheAttribute
 from geokit.core.blocks.several_devices import OnDevices, replicas, shows_arguments
 from geokit.core.gradients.rules import hold, split
+from geokit.core.interop.arrays import reinterpreted
 from geokit.core.interop.types import Array, Devices, Rows
-from geokit.core.interop.user_arrays import LARGEST_MEASURED, Batch, read_vectors, require_finite
+from geokit.core.interop.user_arrays import (
+    LARGEST_MEASURED,
+    Batch,
+    narrowed,
+    read_numbers,
+    read_vectors,
+    require_finite,
+    require_finite_scalar,
+)
 from geokit.core.launches import replay
 from geokit.core.memory import available_memory
 from geokit.core.memory.needs import needs, rows
+from geokit.core.memory.unchecked import allocating
 from geokit.core.query.ask import query
-from geokit.core.require import require_count, require_flag
+from geokit.core.require import require_choice, require_count, require_flag
 from geokit.core.scan import row_offsets
 from geokit.errors import DeviceMemoryError, InputError
 from geokit.points.search import radius as search
 from geokit.points.search.cells import Cells, build_cells, survey, usual_spacing
 from geokit.points.search.groups import build_group_cells, numbers_of, read_offsets, survey_groups, usual_spacing_of
-from geokit.points.search.hash_grid import build_hash_grid
-from geokit.points.search.inputs import require_order, require_radii, require_radius, require_self, require_skin
 from geokit.points.search.nearest import KNearest, build_tree, nearest, require_k
 from geokit.points.search.periodic import MOST_TURNS, Images, read_cell, sort_by_distance
 from geokit.points.search.verlet import VerletLists
@@ -57,6 +65,8 @@ BLOCK_SHARE = 0.25
 # Fewest queries for each of several GPUs: neighbors of fewer are found in less time than it takes to copy them.
 LEAST_QUERIES_ON_GPUS = 1 << 24
 LEAST_COUNTED_ON_GPUS = 40_000_000
+# Cells of warp's hash grid on an axis: 128^3 cells take 16 MiB, a common size for warp.
+HASH_CELLS = 128
 
 
 class Neighbors(NamedTuple):
@@ -255,10 +265,10 @@ class NeighborGrid:
         skin: float | None = None,
         device: Devices = None,
     ) -> None:
-        wanted = None if radius is None else require_radius(radius)
+        wanted = None if radius is None else _require_radius(radius)
         self._device = launcher.resolve_device(device)
         self._cell = None if periodic is None else read_cell(periodic)
-        self._skin = None if skin is None else require_skin(skin, wanted)
+        self._skin = None if skin is None else _require_skin(skin, wanted)
         if self._cell is not None and groups is not None:
             raise InputError("periodic: groups have no common cell; make a grid for each, or leave one of both out")
         self._hold(points, wanted, groups)
@@ -383,7 +393,7 @@ class NeighborGrid:
         with self._lock:
             if self._hash_grid is None:
                 # Warp needs a positive cell length even if the radius is 0.
-                self._hash_grid = build_hash_grid(self._points(), self._radius or self._spacing or 1.0)
+                self._hash_grid = _hash_grid_of(self._points(), self._radius or self._spacing or 1.0)
             return int(self._hash_grid[0].id)
 
     def __len__(self) -> int:
@@ -475,7 +485,7 @@ class NeighborGrid:
             DeviceMemoryError: The neighbors do not fit in memory, or number more than 2^31 - 1 in all; nothing has been
                 allocated for them. :meth:`radius_search_blocks` returns them block by block.
         """
-        require_order(order)
+        _require_order(order)
         if (listed := self._listed(queries, radius, exclude_self, groups)) is not None:
             lists, within = listed
             offsets, indices, distance = lists.search(within, exclude_self, order, self._home.is_float32)
@@ -524,27 +534,22 @@ class NeighborGrid:
                 queries; order is not known.
             DeviceMemoryError: The neighbors, or the images, do not fit in memory.
         """
+        import warp as wp
+
         if self._cell is None:
             raise InputError("neighbor_list: the grid is not periodic; give periodic=, or use radius_search()")
-        require_order(order)
+        _require_order(order)
         if (listed := self._listed(queries, radius, exclude_self)) is not None:
             lists, within = listed
             offsets, indices, distance = lists.search(within, exclude_self, order, self._home.is_float32)
             shifts = lists.shifts(offsets, indices)
             return NeighborList(*map(self._home.to_caller, (offsets, lists.named(indices), distance, shifts)))
         asked, home = self._ask(queries, radius, exclude_self)
-        images = asked.images
-        assert images is not None
-        turn = images.turn if asked.turn is None else asked.turn
-        # By index, everything takes one pass over the neighbors.
-        by_index, counts = order == "index", search.count(asked, note=True)
-        found = self._rows_of(asked, counts, "images last" if by_index else order, home.is_float32)
-        if by_index:
-            offsets, indices, distance, shifts = images.listed(*found, turn)
-        else:
-            shifts = images.shifts(found[0], found[1], turn)
-            offsets, indices, distance = found[0], images.named(found[1]), found[2]
-        return NeighborList(*map(home.to_lists or home.to_caller, (offsets, indices, distance, shifts)))
+        assert asked.images is not None
+        turn = asked.images.turn if asked.turn is None else asked.turn
+        *found, shifts = self._filled(asked, search.count(asked, note=True), order, home.is_float32, turn)
+        found.append(reinterpreted(shifts, wp.int32, (len(shifts), 3)))
+        return NeighborList(*map(home.to_lists or home.to_caller, found))
 
     @query(is_stepped=True, memory=_candidate_bytes)
     def candidates(self, *, exclude_self: bool = False) -> Candidates:
@@ -615,7 +620,7 @@ class NeighborGrid:
             >>> [(first, found.indices.tolist()) for first, found in grid.radius_search_blocks(memory=24)]
             [(0, [0, 1]), (1, [0, 1]), (2, [2])]
         """
-        require_order(order)
+        _require_order(order)
         if queries is None and self._skin is not None and order == "any":
             order = "index"
         budget = (
@@ -625,7 +630,7 @@ class NeighborGrid:
         )
         batch = self._own_batch() if queries is None else self._read_queries(queries, exclude_self)[0]
         radii = self._radii(radius, len(batch))
-        require_self(exclude_self, len(batch), self._count)
+        _require_self(exclude_self, len(batch), self._count)
         offsets = self._groups_of(groups, None if queries is None else len(batch), exclude_self)
         group = None if offsets is None else numbers_of(offsets, self._device)
         counts = search.count(self._asked(batch.array, len(batch), radii, exclude_self, group=group)).numpy()
@@ -650,7 +655,7 @@ class NeighborGrid:
         from geokit.points.search import radius_cuda_kernels as kernels
 
         self._refuse_periodic("pairs", "a point may be its own neighbor; use neighbor_list()")
-        radius = None if radius is None else require_radius(radius)
+        radius = None if radius is None else _require_radius(radius)
         home = self._home
         if (listed := self._listed(None, radius, False)) is not None:
             lists, within = listed
@@ -764,7 +769,7 @@ class NeighborGrid:
             )
         count = self._count if batch is None else len(batch)
         limit = radius if isinstance(radius, float) and radius == np.inf else self._radii(radius, count)
-        require_self(exclude_self, count, self._count)
+        _require_self(exclude_self, count, self._count)
         offsets = self._groups_of(groups, None if batch is None else count, exclude_self)
         own = None if self._groups is None else self._groups.offsets
         with self._lock:
@@ -879,7 +884,7 @@ class NeighborGrid:
             return self._asked(None, self._count, radii, exclude_self), self._home
         batch, turn = self._read_queries(queries, exclude_self)
         radii = self._radii(radius, len(batch))
-        require_self(exclude_self, len(batch), self._count)
+        _require_self(exclude_self, len(batch), self._count)
         offsets = self._groups_of(groups, len(batch), exclude_self)
         group = None if offsets is None else numbers_of(offsets, self._device)
         asked = self._asked(batch.array, len(batch), radii, exclude_self, group=group)
@@ -903,30 +908,30 @@ class NeighborGrid:
             asked.images = self._images
         return asked
 
-    def _filled(self, asked: search.Asked, counts: "wp.array", order: str, single: bool) -> tuple[Any, Any, Any]:
-        """Rows of neighbors: indices of points."""
-        offsets, indices, distance = self._rows_of(asked, counts, order, single)
-        return offsets, indices if asked.images is None else asked.images.named(indices), distance
-
     @needs(name="radius_search_blocks")
-    def _rows_of(self, asked: search.Asked, counts: "wp.array", order: str, single: bool) -> tuple[Any, Any, Any]:
-        """Rows of neighbors: indices of points and, from N on, of images."""
+    def _filled(
+        self, asked: search.Asked, counts: "wp.array", order: str, single: bool, turn: Any = None
+    ) -> tuple[Any, ...]:
+        """Rows of neighbors: indices of points, distances, and for queries ``turn`` the shifts of images."""
 
         def refuse(total: int) -> None:
             search.require_room(total, asked.count, self._device)
 
-        if asked.images is not None and order != "any":
-            found = search.fill(asked, counts, refuse, single=single and order != "distance")
-            if order == "images last":
-                return found
-            found = asked.images.merged(*found)
+        images = asked.images
+        if images is not None and order != "any":
+            # By index, everything takes one pass over the neighbors.
+            found = images.listed(*search.fill(asked, counts, refuse, single=single and order != "distance"), turn)
             return found if order == "index" else sort_by_distance(*found)
         if order == "distance":
             # Rows are sorted by float64 distances, so the order in which they are filled does not matter.
             found = search.fill(asked, counts, refuse, order="any")
             search.sort_by_distance(*found)
             return found
-        return search.fill(asked, counts, refuse, order=order, single=single)
+        offsets, indices, distance = search.fill(asked, counts, refuse, order=order, single=single)
+        if images is None:
+            return offsets, indices, distance
+        shifts = [] if turn is None else [images.shifts(offsets, indices, turn)]
+        return offsets, images.named(indices), distance, *shifts
 
     def _blocks(
         self, batch: Batch, radii: Any, exclude_self: bool, order: str, counts: np.ndarray, budget: int, group: Any
@@ -957,7 +962,7 @@ class NeighborGrid:
         """One radius, or an array with one for each query."""
         if radius is None:
             return self._radius
-        return require_radii(radius, count)
+        return _require_radii(radius, count)
 
     def _cells_for(self, radius: float) -> Cells:
         with self._lock:
@@ -1018,6 +1023,44 @@ class NeighborGrid:
         return cells, radius / RADIUS_RATIO
 
 
+def _require_radius(radius: Any) -> float:
+    value = require_finite_scalar(radius, "radius")
+    if value < 0.0:
+        raise InputError(f"radius: {value:g} is negative; give 0 or more")
+    return value
+
+
+def _require_skin(skin: Any, radius: float | None) -> float:
+    value = require_finite_scalar(skin, "skin", low=0.0)
+    if not np.isfinite(value + (radius or 0.0)):
+        raise InputError(f"skin: {value:g} and the radius are more than a float64 can hold; scale the points down")
+    return value
+
+
+def _require_radii(radius: Any, count: int) -> float | np.ndarray:
+    values = read_numbers(radius, "radius")
+    if values.ndim == 0:
+        return _require_radius(values)
+    if values.shape != (count,):
+        raise InputError(f"radius: shape {values.shape} is not one number, nor one for each of the {count} queries")
+    bad = ~(np.isfinite(values) & (values >= 0.0))
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise InputError(f"radius: row {row} is {values[row]:g}; give finite numbers that are 0 or more")
+    return values
+
+
+def _require_order(order: str) -> None:
+    require_choice(order, "order", ("index", "distance", "any"))
+
+
+def _require_self(exclude_self: bool, query_count: int, point_count: int) -> None:
+    if require_flag(exclude_self, "exclude_self") and query_count != point_count:
+        raise InputError(
+            f"exclude_self: {query_count} queries are not the {point_count} points; leave queries out, or exclude_self"
+        )
+
+
 def _require_near(farthest: float, cell: NDArray[np.float64], name: str) -> None:
     """Refuse coordinates so far from the cell that moved into it they would have few digits left."""
     height = 1.0 / np.sqrt((np.linalg.inv(cell) ** 2).sum(axis=0)).max()
@@ -1026,6 +1069,22 @@ def _require_near(farthest: float, cell: NDArray[np.float64], name: str) -> None
             f"{name}: a coordinate is {farthest:g}, more than {MOST_TURNS} cells of {height:g} away from the periodic "
             "cell; move it nearer by whole cells"
         )
+
+
+def _hash_grid_of(points: "wp.array", cell_size: float) -> tuple[Any, "wp.array"]:
+    """Build a ``wp.HashGrid`` over vec3d points cast to float32; returns the grid and the cast points.
+
+    Warp's grid may store the address of the points without keeping the array alive: keep a reference to both.
+    """
+    import warp as wp
+
+    device: Any = points.device
+    single = narrowed(points, wp.vec3f)
+    # Begin and end of each cell; cell and number of each point, twice, for the sort.
+    with allocating(device, 8 * HASH_CELLS**3 + 20 * len(points), fatal=True):
+        grid = wp.HashGrid(HASH_CELLS, HASH_CELLS, HASH_CELLS, device=device)
+        grid.build(single, cell_size)
+    return grid, single
 
 
 class _GridOnDevices(OnDevices, NeighborGrid):

@@ -316,8 +316,8 @@ def sorted_keys(grid: Any, points: "wp.array", group: Any) -> tuple["wp.array", 
     wide = grid.shift > 0 or cell_count >= 1 << 31
     keys = wp.empty(2 * count, dtype=wp.int64 if wide else wp.int32, device=device)
     order = wp.empty(2 * count, dtype=wp.int32, device=device)
-    table, given = (kernels.KEY, [points, grid]) if group is None else (kernels.GROUP_KEY, [points, group, grid])
-    launcher.launch(table[points.dtype, keys.dtype], count, given, [keys, order], device)
+    table, group = (kernels.KEY, grid.group) if group is None else (kernels.GROUP_KEY, group)
+    launcher.launch(table[points.dtype, keys.dtype], count, [points, group, grid], [keys, order], device)
     if count:
         sort_pairs(keys, order, count, end_bit=max(1, (cell_count - 1).bit_length()))
     return keys, order

@@ -124,6 +124,11 @@ def key_of(grid: CellGrid, p: wp.vec3d) -> wp.int64:
     return cell_key(grid, cell_along(grid, 0, p[0]), cell_along(grid, 1, p[1]), cell_along(grid, 2, p[2]))
 
 
+@wp.func
+def in_double(p: Any) -> wp.vec3d:
+    return wp.vec3d(wp.float64(p[0]), wp.float64(p[1]), wp.float64(p[2]))
+
+
 @wp.kernel
 def survey_kernel(
     first: int,
@@ -138,14 +143,12 @@ def survey_kernel(
     one of its points is not.
     """
     i = first + wp.tid()
-    opening = points[i]
-    lower = wp.vec3d(wp.float64(opening[0]), wp.float64(opening[1]), wp.float64(opening[2]))
+    lower = in_double(points[i])
     upper = lower
     # A sum keeps non-finite values; min and max may skip them.
     total = lower - lower
     for at in range(i, points.shape[0], run_count):
-        given = points[at]
-        p = wp.vec3d(wp.float64(given[0]), wp.float64(given[1]), wp.float64(given[2]))
+        p = in_double(points[at])
         lower = wp.min(lower, p)
         upper = wp.max(upper, p)
         total += p - p
@@ -186,41 +189,6 @@ def condense_kernel(
 
 
 @wp.kernel
-def key_kernel(
-    first: int,
-    points: wp.array(dtype=Any),
-    grid: CellGrid,
-    out_key: wp.array(dtype=Any),
-    out_index: wp.array(dtype=wp.int32),
-):
-    """Cell key of each point."""
-    i = first + wp.tid()
-    given = points[i]
-    key = key_of(grid, wp.vec3d(wp.float64(given[0]), wp.float64(given[1]), wp.float64(given[2])))
-    out_key[i] = out_key.dtype(key)
-    out_index[i] = i
-
-
-@wp.kernel
-def group_key_kernel(
-    first: int,
-    points: wp.array(dtype=Any),
-    group: wp.array(dtype=wp.int32),
-    grid: CellGrid,
-    out_key: wp.array(dtype=Any),
-    out_index: wp.array(dtype=wp.int32),
-):
-    """Cell key of each point among the cells of its group."""
-    i = first + wp.tid()
-    given = points[i]
-    key = key_of(
-        cells_of_group(grid, group[i]), wp.vec3d(wp.float64(given[0]), wp.float64(given[1]), wp.float64(given[2]))
-    )
-    out_key[i] = out_key.dtype(key)
-    out_index[i] = i
-
-
-@wp.kernel
 def group_box_kernel(
     first: int,
     points: wp.array(dtype=Any),
@@ -236,8 +204,7 @@ def group_box_kernel(
     upper = -high
     if offset[i + 1] - offset[i] <= most:
         for j in range(wp.int32(offset[i]), wp.int32(offset[i + 1])):
-            given = points[j]
-            p = wp.vec3d(wp.float64(given[0]), wp.float64(given[1]), wp.float64(given[2]))
+            p = in_double(points[j])
             lower = wp.min(lower, p)
             upper = wp.max(upper, p)
     out_lower[i] = lower
@@ -245,36 +212,48 @@ def group_box_kernel(
 
 
 @wp.func
-def gather(
-    grid: CellGrid,
-    cells: CellGrid,
-    points: wp.array(dtype=Any),
-    at: wp.int32,
-    i: wp.int32,
-):
-    """Put a point in its sorted place, in float32 in the frame of ``cells``."""
-    given = points[at]
-    p = wp.vec3d(wp.float64(given[0]), wp.float64(given[1]), wp.float64(given[2]))
-    grid.index[i] = at
-    grid.x[i] = p[0]
-    grid.y[i] = p[1]
-    grid.z[i] = p[2]
-    local = (p - cells.center) * cells.scale
-    grid.packed[i] = wp.vec4f(wp.float32(local[0]), wp.float32(local[1]), wp.float32(local[2]), wp.float32(0.0))
+def cells_of_all(grid: CellGrid, group: wp.array(dtype=wp.int32), i: wp.int32) -> CellGrid:
+    """The cells of a point where there are no groups."""
+    return grid
 
 
-@wp.kernel
-def gather_packed_kernel(first: int, points: wp.array(dtype=Any), order: wp.array(dtype=wp.int32), out_grid: CellGrid):
-    """Gather the coordinates in sorted order, on a GPU."""
-    i = first + wp.tid()
-    gather(out_grid, out_grid, points, order[i], i)
+@wp.func
+def cells_of_own(grid: CellGrid, group: wp.array(dtype=wp.int32), i: wp.int32) -> CellGrid:
+    """The cells of the group of a point."""
+    return cells_of_group(grid, group[i])
 
 
-@wp.kernel
-def gather_groups_kernel(first: int, points: wp.array(dtype=Any), order: wp.array(dtype=wp.int32), out_grid: CellGrid):
-    """Gather the coordinates of points in groups in sorted order, on a GPU."""
-    i = first + wp.tid()
-    gather(out_grid, cells_of_group(out_grid, out_grid.group[i]), points, order[i], i)
+def kernels_of(cells_of: wp.Function) -> tuple[Any, Any]:
+    """The kernels of keys and, on a GPU, of the order of points, whose cells a function tells."""
+
+    @wp.kernel
+    def key_kernel(
+        first: int,
+        points: wp.array(dtype=Any),
+        group: wp.array(dtype=wp.int32),
+        grid: CellGrid,
+        out_key: wp.array(dtype=Any),
+        out_index: wp.array(dtype=wp.int32),
+    ):
+        """Cell key of each point."""
+        i = first + wp.tid()
+        out_key[i] = out_key.dtype(key_of(cells_of(grid, group, i), in_double(points[i])))
+        out_index[i] = i
+
+    @wp.kernel
+    def gather_kernel(first: int, points: wp.array(dtype=Any), order: wp.array(dtype=wp.int32), out_grid: CellGrid):
+        """Gather the coordinates in sorted order, also in float32 in the frame of their cells."""
+        i = first + wp.tid()
+        p = in_double(points[order[i]])
+        out_grid.index[i] = order[i]
+        out_grid.x[i] = p[0]
+        out_grid.y[i] = p[1]
+        out_grid.z[i] = p[2]
+        cells = cells_of(out_grid, out_grid.group, i)
+        local = (p - cells.center) * cells.scale
+        out_grid.packed[i] = wp.vec4f(wp.float32(local[0]), wp.float32(local[1]), wp.float32(local[2]), wp.float32(0.0))
+
+    return key_kernel, gather_kernel
 
 
 @wp.kernel
@@ -335,30 +314,23 @@ def unsort_kernel(first: int, grid: CellGrid, out_points: wp.array(dtype=wp.vec3
     out_points[grid.index[i]] = wp.vec3d(grid.x[i], grid.y[i], grid.z[i])
 
 
-@wp.kernel
-def narrow_points_kernel(first: int, points: wp.array(dtype=wp.vec3d), out_points: wp.array(dtype=wp.vec3f)):
-    """Convert points to float32."""
-    i = first + wp.tid()
-    p = points[i]
-    out_points[i] = wp.vec3f(wp.float32(p[0]), wp.float32(p[1]), wp.float32(p[2]))
-
-
 # Rows are float64, on a GPU also float32; the width of keys follows from the number of cells. Kernels are resolved here
 # once: resolving them at every launch takes longer than the launch.
 ROWS = (wp.vec3d, wp.vec3f)
 SURVEY = {r: wp.overload(survey_kernel, {"points": wp.array(dtype=r)}) for r in ROWS}
 CONDENSE = {r: wp.overload(condense_kernel, {"points": wp.array(dtype=r)}) for r in ROWS}
 GROUP_BOX = {r: wp.overload(group_box_kernel, {"points": wp.array(dtype=r)}) for r in ROWS}
-GATHER_PACKED, GATHER_GROUPS = (
-    {r: wp.overload(kernel, {"points": wp.array(dtype=r)}) for r in ROWS}
-    for kernel in (gather_packed_kernel, gather_groups_kernel)
-)
+# Of points without groups, and in groups.
+KERNELS = [kernels_of(cells_of) for cells_of in (cells_of_all, cells_of_own)]
 KEY, GROUP_KEY = (
     {
         (r, k): wp.overload(kernel, {"points": wp.array(dtype=r), "out_key": wp.array(dtype=k)})
         for r in ROWS
         for k in (wp.int32, wp.int64)
     }
-    for kernel in (key_kernel, group_key_kernel)
+    for kernel, _ in KERNELS
+)
+GATHER_PACKED, GATHER_GROUPS = (
+    {r: wp.overload(kernel, {"points": wp.array(dtype=r)}) for r in ROWS} for _, kernel in KERNELS
 )
 TABLE = {k: wp.overload(table_kernel, {"key": wp.array(dtype=k)}) for k in (wp.int32, wp.int64)}

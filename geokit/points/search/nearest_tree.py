@@ -132,10 +132,9 @@ def blocks_in_order(
     blocks = -(-len(points) // leaf) if spans is None else len(spans)
     positions = wp.empty(blocks * 3 * leaf, dtype=wp.float64, device=device)
     index = wp.empty(blocks * leaf, dtype=wp.int32, device=device)
-    kernel, given = (kernels.block_kernel, [points, order])
-    if spans is not None:
-        kernel, given = kernels.group_block_kernel, [*given, wp.array(spans, dtype=wp.vec2i, device=device)]
-    launcher.launch(kernel, blocks, given, [positions, index], device, grain=BLOCK_GRAIN)
+    of_groups = wp.array([] if spans is None else spans, dtype=wp.vec2i, device=device)
+    given = [points, order, of_groups]
+    launcher.launch(kernels.block_kernel, blocks, given, [positions, index], device, grain=BLOCK_GRAIN)
     return positions, index
 
 

@@ -296,45 +296,8 @@ def put_back_kernel(
     out_order[member[i]] = values[i]
 
 
-@wp.func
-def put_block(
-    block: wp.int32,
-    begin: wp.int32,
-    end: wp.int32,
-    points: wp.array(dtype=wp.vec3d),
-    order: wp.array(dtype=wp.int32),
-    positions: wp.array(dtype=wp.float64),
-    indices: wp.array(dtype=wp.int32),
-):
-    for j in range(LEAF):
-        index = NONE
-        p = wp.vec3d(wp.float64(wp.nan), wp.float64(wp.nan), wp.float64(wp.nan))
-        if begin + j < end:
-            index = order[begin + j]
-            p = points[index]
-        indices[block * LEAF + j] = index
-        for axis in range(3):
-            positions[(block * 3 + axis) * LEAF + j] = p[axis]
-
-
 @wp.kernel
 def block_kernel(
-    first: int,
-    points: wp.array(dtype=wp.vec3d),
-    order: wp.array(dtype=wp.int32),
-    out_positions: wp.array(dtype=wp.float64),
-    out_index: wp.array(dtype=wp.int32),
-):
-    """Blocks of points in the given order, one axis after the other.
-
-    The rest of the last block is NaN: every comparison with it is false, so it is never found.
-    """
-    block = first + wp.tid()
-    put_block(block, block * LEAF, points.shape[0], points, order, out_positions, out_index)
-
-
-@wp.kernel
-def group_block_kernel(
     first: int,
     points: wp.array(dtype=wp.vec3d),
     order: wp.array(dtype=wp.int32),
@@ -342,9 +305,25 @@ def group_block_kernel(
     out_positions: wp.array(dtype=wp.float64),
     out_index: wp.array(dtype=wp.int32),
 ):
-    """Blocks of points of one group each: those from ``span[0]`` on, before ``span[1]``."""
+    """Blocks of points in the given order, one axis after the other; ``span`` has begin and end of those in groups.
+
+    The rest of a block is NaN: every comparison with it is false, so it is never found.
+    """
     block = first + wp.tid()
-    put_block(block, span[block][0], span[block][1], points, order, out_positions, out_index)
+    begin = block * LEAF
+    end = points.shape[0]
+    if span.shape[0] > 0:
+        begin = span[block][0]
+        end = span[block][1]
+    for j in range(LEAF):
+        index = NONE
+        p = wp.vec3d(wp.float64(wp.nan), wp.float64(wp.nan), wp.float64(wp.nan))
+        if begin + j < end:
+            index = order[begin + j]
+            p = points[index]
+        out_index[block * LEAF + j] = index
+        for axis in range(3):
+            out_positions[(block * 3 + axis) * LEAF + j] = p[axis]
 
 
 @wp.func

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.interop.arrays import reinterpreted
 from geokit.core.interop.user_arrays import read_numbers
 from geokit.core.memory import available_memory, host_pool
 from geokit.core.scan import prefix_sum
@@ -130,36 +131,29 @@ class Images:
         launcher.launch(wrap_kernel, len(points), [points, self.vectors], [inside, turn], device)
         return inside, turn
 
-    def merged(self, offsets: Any, indices: Any, distance: Any) -> tuple[Any, Any, Any]:
-        """Rows that ascend by index, sorted by point, then shift."""
-        from geokit.points.search.periodic_kernels import MERGE
+    def listed(self, offsets: Any, indices: Any, distance: Any, turn: Any) -> tuple[Any, ...]:
+        """Rows that ascend by index, sorted by point, then shift, and named.
 
-        device = offsets.device
-        out = [host_pool.empty_warp(len(rows), rows.dtype, device) for rows in (indices, distance)]
-        given = [offsets, indices, distance, len(self.turn), self.of, self.shift]
-        launcher.launch(MERGE[distance.dtype], len(offsets) - 1, given, out, device)
-        return (offsets, *out)
-
-    def listed(self, offsets: Any, indices: Any, distance: Any, turn: Any) -> tuple[Any, Any, Any, Any]:
-        """Rows that ascend by index, sorted by point, then shift, and named: with the shifts for queries ``turn``."""
+        With the shifts (M,) for queries ``turn``, unless that is None.
+        """
         import warp as wp
 
         from geokit.points.search.periodic_kernels import LIST
 
-        device = offsets.device
+        device, total = offsets.device, 0 if turn is None else len(indices)
         out = [host_pool.empty_warp(len(rows), rows.dtype, device) for rows in (indices, distance)]
-        out.append(host_pool.empty_warp(3 * len(indices), wp.int32, device).reshape((-1, 3)))
-        given = [offsets, indices, distance, self.turn, turn, self.of, self.shift]
-        launcher.launch(LIST[distance.dtype], len(offsets) - 1, given, out, device)
-        return offsets, out[0], out[1], out[2]
+        shifts = reinterpreted(host_pool.empty_warp(3 * total, wp.int32, device), wp.vec3i, (total,))
+        given = [offsets, indices, distance, self.turn, self.turn if turn is None else turn, self.of, self.shift]
+        launcher.launch(LIST[distance.dtype], len(offsets) - 1, given, [*out, shifts], device)
+        return (offsets, *out) if turn is None else (offsets, *out, shifts)
 
     def shifts(self, offsets: Any, indices: Any, turn: Any) -> "wp.array":
-        """Shift of each neighbor of queries with these turns, int32 (M, 3)."""
+        """Shift of each neighbor of queries with these turns, vec3i (M,)."""
         import warp as wp
 
         from geokit.points.search.periodic_kernels import shift_kernel
 
-        out = wp.empty((len(indices), 3), dtype=wp.int32, device=offsets.device)
+        out = wp.empty(len(indices), dtype=wp.vec3i, device=offsets.device)
         given = [offsets, indices, self.turn, turn, self.of, self.shift]
         launcher.launch(shift_kernel, len(offsets) - 1, given, [out], offsets.device)
         return out
@@ -172,8 +166,8 @@ class Images:
         return indices
 
 
-def sort_by_distance(offsets: Any, indices: Any, distance: Any) -> tuple[Any, Any, Any]:
-    """Rows sorted by distance, then by the order in which they are given."""
+def sort_by_distance(offsets: Any, indices: Any, distance: Any, *others: Any) -> tuple[Any, ...]:
+    """Rows sorted by distance, then by the order in which they are given, and other arrays of theirs."""
     import warp as wp
 
     from geokit.core.sorting.gather_kernels import GATHER
@@ -182,6 +176,8 @@ def sort_by_distance(offsets: Any, indices: Any, distance: Any) -> tuple[Any, An
     device = offsets.device
     place = wp.array(np.arange(len(indices)), dtype=wp.int32, device=device)
     radius.sort_by_distance(offsets, place, distance)
-    taken = wp.empty_like(indices)
-    launcher.launch(GATHER[wp.int32], len(indices), [indices, place], [taken], device)
-    return offsets, taken, distance
+    found = []
+    for rows in (indices, *others):
+        found.append(wp.empty_like(rows))
+        launcher.launch(GATHER[rows.dtype], len(rows), [rows, place], found[-1:], device)
+    return offsets, found[0], distance, *found[1:]

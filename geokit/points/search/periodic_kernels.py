@@ -151,35 +151,6 @@ def is_image_next(
 
 
 @wp.kernel
-def merge_kernel(
-    first: int,
-    offset: wp.array(dtype=wp.int64),
-    index: wp.array(dtype=wp.int32),
-    distance: wp.array(dtype=Any),
-    count: wp.int32,
-    of: wp.array(dtype=wp.int32),
-    shift: wp.array(dtype=wp.vec3i),
-    out_index: wp.array(dtype=wp.int32),
-    out_distance: wp.array(dtype=Any),
-):
-    """Sort each row, ascending with the ``count`` points before all images, by point, then shift."""
-    i = first + wp.tid()
-    point = wp.int32(offset[i])
-    end = wp.int32(offset[i + 1])
-    points_end = first_image(index, point, end, count)
-    image = points_end
-    for at in range(wp.int32(offset[i]), end):
-        taken = point
-        if is_image_next(point, image, end, points_end, index, count, of, shift):
-            taken = image
-            image += 1
-        else:
-            point += 1
-        out_index[at] = index[taken]
-        out_distance[at] = distance[taken]
-
-
-@wp.kernel
 def list_kernel(
     first: int,
     offset: wp.array(dtype=wp.int64),
@@ -191,9 +162,12 @@ def list_kernel(
     shift: wp.array(dtype=wp.vec3i),
     out_index: wp.array(dtype=wp.int32),
     out_distance: wp.array(dtype=Any),
-    out_shift: wp.array(dtype=wp.int32, ndim=2),
+    out_shift: wp.array(dtype=wp.vec3i),
 ):
-    """What merge_kernel, shift_kernel and name_kernel do, in one pass."""
+    """Rows that ascend with the points before all images, sorted by point, then shift, and named as name_kernel does.
+
+    With the shifts that shift_kernel finds, if there is room for them.
+    """
     i = first + wp.tid()
     count = turn.shape[0]
     point = wp.int32(offset[i])
@@ -201,22 +175,21 @@ def list_kernel(
     points_end = first_image(index, point, end, count)
     image = points_end
     for at in range(wp.int32(offset[i]), end):
-        s = query_turn[i]
+        s = wp.vec3i(0, 0, 0)
         taken = point
         j = wp.int32(0)
         if is_image_next(point, image, end, points_end, index, count, of, shift):
             taken = image
             image += 1
             j = of[index[taken] - count]
-            s += shift[index[taken] - count]
+            s = shift[index[taken] - count]
         else:
             point += 1
             j = index[taken]
         out_index[at] = j
         out_distance[at] = distance[taken]
-        s -= turn[j]
-        for axis in range(3):
-            out_shift[at, axis] = s[axis]
+        if out_shift.shape[0] > 0:
+            out_shift[at] = query_turn[i] + s - turn[j]
 
 
 @wp.kernel
@@ -236,7 +209,7 @@ def shift_kernel(
     query_turn: wp.array(dtype=wp.vec3i),
     of: wp.array(dtype=wp.int32),
     shift: wp.array(dtype=wp.vec3i),
-    out_shift: wp.array(dtype=wp.int32, ndim=2),
+    out_shift: wp.array(dtype=wp.vec3i),
 ):
     """Shift of each neighbor of each query, for points and queries where the caller has them."""
     i = first + wp.tid()
@@ -246,15 +219,10 @@ def shift_kernel(
         if j >= turn.shape[0]:
             s += shift[j - turn.shape[0]]
             j = of[j - turn.shape[0]]
-        s -= turn[j]
-        for axis in range(3):
-            out_shift[at, axis] = s[axis]
+        out_shift[at] = s - turn[j]
 
 
-MERGE, LIST = (
-    {
-        real: wp.overload(kernel, {"distance": wp.array(dtype=real), "out_distance": wp.array(dtype=real)})
-        for real in (wp.float64, wp.float32)
-    }
-    for kernel in (merge_kernel, list_kernel)
-)
+LIST = {
+    real: wp.overload(list_kernel, {"distance": wp.array(dtype=real), "out_distance": wp.array(dtype=real)})
+    for real in (wp.float64, wp.float32)
+}

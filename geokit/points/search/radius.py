@@ -191,7 +191,8 @@ def _arranged(grid: Any, rows: "wp.array", chosen: np.ndarray | None, device: "w
     queries.index = wp.empty(count, dtype=wp.int32, device=device)
     launcher.launch(kernels.ARRANGE[rows.dtype], count, [rows, order], [queries], device)
     if chosen is not None:
-        launcher.launch(kernels.rename_kernel, count, [places], [queries.index], device)
+        # From numbers among the chosen to those of all.
+        launcher.launch(GATHER[wp.int32], count, [places, queries.index], [queries.index], device)
     return queries
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import warp as wp
 
 from geokit.core import cpp
-from geokit.points.search.cells_kernels import MASK_BITS, CellGrid, cells_of_group
+from geokit.points.search.cells_kernels import MASK_BITS, CellGrid, cells_of_all, cells_of_own
 from geokit.points.search.neighbors_kernels import (
     Queries,
     cells_around,
@@ -56,114 +56,72 @@ def sort_rows_kernel(
     sort_together(begin, wp.int32(offset[row + 1]) - begin, i % 32, out_index, out_distance)
 
 
-@wp.func
-def counted(k: wp.int32, queries: Queries, grid: CellGrid, radius: wp.array(dtype=wp.float64)) -> wp.int32:
-    """Number of neighbors of a query. There is one radius for all queries, or one for each."""
-    q = wp.vec3d(queries.x[k], queries.y[k], queries.z[k])
-    r = radius[wp.min(queries.index[k], radius.shape[0] - 1)]
-    box = cells_around(grid, q, reach_of(r))
-    near = nearness_of(grid, q, r)
-    found = wp.int32(0)
-    for row in range(row_count(box)):
-        span = row_range(grid, box, row)
-        found += near_count(grid, span[0], span[1], near, q, r * r)
-    return found
+def kernels_of(cells_of: wp.Function) -> tuple[wp.Kernel, wp.Kernel]:
+    """The kernels of a search, whose queries have cells that a function tells."""
+
+    @wp.kernel
+    def count_kernel(
+        first: int,
+        queries: Queries,
+        grid: CellGrid,
+        radius: wp.array(dtype=wp.float64),
+        self_count: wp.int32,
+        out_count: wp.array(dtype=wp.int32),
+    ):
+        """Number of neighbors of each query, minus ``self_count``. There is one radius for all, or one for each."""
+        k = first + wp.tid()
+        cells = cells_of(grid, queries.group, k)
+        q = wp.vec3d(queries.x[k], queries.y[k], queries.z[k])
+        r = radius[wp.min(queries.index[k], radius.shape[0] - 1)]
+        box = cells_around(cells, q, reach_of(r))
+        near = nearness_of(cells, q, r)
+        found = wp.int32(0)
+        for row in range(row_count(box)):
+            span = row_range(cells, box, row)
+            found += near_count(cells, span[0], span[1], near, q, r * r)
+        out_count[queries.index[k]] = found - self_count
+
+    @wp.kernel
+    def fill_kernel(
+        first: int,
+        queries: Queries,
+        grid: CellGrid,
+        radius: wp.array(dtype=wp.float64),
+        own: wp.int32,
+        offset: wp.array(dtype=wp.int64),
+        out_index: wp.array(dtype=wp.int32),
+        out_distance: wp.array(dtype=wp.float64),
+    ):
+        """Neighbors of each query from its offset on, without the point whose index is the query's plus ``own``."""
+        k = first + wp.tid()
+        cells = cells_of(grid, queries.group, k)
+        i = queries.index[k]
+        q = wp.vec3d(queries.x[k], queries.y[k], queries.z[k])
+        r = radius[wp.min(i, radius.shape[0] - 1)]
+        box = cells_around(cells, q, reach_of(r))
+        near = nearness_of(cells, q, r)
+        # Flat results have fewer than 2^31 entries, which the caller ensures.
+        at = wp.int32(offset[i])
+        for row in range(row_count(box)):
+            span = row_range(cells, box, row)
+            for begin in range(span[0], span[1], MASK_BITS):
+                mask = near_mask(cells, begin, span[1], near, q, r * r)
+                while mask != wp.uint64(0):
+                    j = begin + lowest_bit(mask)
+                    mask = mask & (mask - wp.uint64(1))
+                    if grid.index[j] != i + own:
+                        dx = grid.x[j] - q[0]
+                        dy = grid.y[j] - q[1]
+                        dz = grid.z[j] - q[2]
+                        out_index[at] = grid.index[j]
+                        out_distance[at] = wp.sqrt((dx * dx + dy * dy) + dz * dz)
+                        at += 1
+
+    return count_kernel, fill_kernel
 
 
-@wp.kernel
-def count_kernel(
-    first: int,
-    queries: Queries,
-    grid: CellGrid,
-    radius: wp.array(dtype=wp.float64),
-    self_count: wp.int32,
-    out_count: wp.array(dtype=wp.int32),
-):
-    """Number of neighbors of each query, minus ``self_count``."""
-    k = first + wp.tid()
-    out_count[queries.index[k]] = counted(k, queries, grid, radius) - self_count
-
-
-@wp.kernel
-def count_in_groups_kernel(
-    first: int,
-    queries: Queries,
-    grid: CellGrid,
-    radius: wp.array(dtype=wp.float64),
-    self_count: wp.int32,
-    out_count: wp.array(dtype=wp.int32),
-):
-    """Number of neighbors of each query in its group, minus ``self_count``."""
-    k = first + wp.tid()
-    own = cells_of_group(grid, queries.group[k])
-    out_count[queries.index[k]] = counted(k, queries, own, radius) - self_count
-
-
-@wp.func
-def put_neighbors(
-    k: wp.int32,
-    queries: Queries,
-    grid: CellGrid,
-    radius: wp.array(dtype=wp.float64),
-    own: wp.int32,
-    offset: wp.array(dtype=wp.int64),
-    out_index: wp.array(dtype=wp.int32),
-    out_distance: wp.array(dtype=wp.float64),
-):
-    """Neighbors of a query from its offset on, without the point whose index is the query's plus ``own``."""
-    i = queries.index[k]
-    q = wp.vec3d(queries.x[k], queries.y[k], queries.z[k])
-    r = radius[wp.min(i, radius.shape[0] - 1)]
-    box = cells_around(grid, q, reach_of(r))
-    near = nearness_of(grid, q, r)
-    # Flat results have fewer than 2^31 entries, which the caller ensures.
-    at = wp.int32(offset[i])
-    for row in range(row_count(box)):
-        span = row_range(grid, box, row)
-        for begin in range(span[0], span[1], MASK_BITS):
-            mask = near_mask(grid, begin, span[1], near, q, r * r)
-            while mask != wp.uint64(0):
-                j = begin + lowest_bit(mask)
-                mask = mask & (mask - wp.uint64(1))
-                if grid.index[j] != i + own:
-                    dx = grid.x[j] - q[0]
-                    dy = grid.y[j] - q[1]
-                    dz = grid.z[j] - q[2]
-                    out_index[at] = grid.index[j]
-                    out_distance[at] = wp.sqrt((dx * dx + dy * dy) + dz * dz)
-                    at += 1
-
-
-@wp.kernel
-def fill_kernel(
-    first: int,
-    queries: Queries,
-    grid: CellGrid,
-    radius: wp.array(dtype=wp.float64),
-    own: wp.int32,
-    offset: wp.array(dtype=wp.int64),
-    out_index: wp.array(dtype=wp.int32),
-    out_distance: wp.array(dtype=wp.float64),
-):
-    """Neighbors of each query."""
-    put_neighbors(first + wp.tid(), queries, grid, radius, own, offset, out_index, out_distance)
-
-
-@wp.kernel
-def fill_in_groups_kernel(
-    first: int,
-    queries: Queries,
-    grid: CellGrid,
-    radius: wp.array(dtype=wp.float64),
-    own: wp.int32,
-    offset: wp.array(dtype=wp.int64),
-    out_index: wp.array(dtype=wp.int32),
-    out_distance: wp.array(dtype=wp.float64),
-):
-    """Neighbors of each query in its group."""
-    k = first + wp.tid()
-    cells = cells_of_group(grid, queries.group[k])
-    put_neighbors(k, queries, cells, radius, own, offset, out_index, out_distance)
+count_kernel, fill_kernel = kernels_of(cells_of_all)
+count_in_groups_kernel, fill_in_groups_kernel = kernels_of(cells_of_own)
 
 
 @wp.kernel
@@ -224,13 +182,6 @@ def uncount_kernel(
     dz = p[2] - wp.float64(q[2])
     if (dx * dx + dy * dy) + dz * dz <= r * r:
         out_count[i] = out_count[i] - 1
-
-
-@wp.kernel
-def rename_kernel(first: int, place: wp.array(dtype=wp.int32), out_index: wp.array(dtype=wp.int32)):
-    """Map row numbers of a subset to row numbers of all queries."""
-    i = first + wp.tid()
-    out_index[i] = place[out_index[i]]
 
 
 @wp.kernel

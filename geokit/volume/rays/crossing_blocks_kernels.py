@@ -64,15 +64,13 @@ def write_blocks_kernel(
 ): ...
 
 
-# Keys: whether the grid holds floats.
-MARK_BLOCKS = {
-    True: wp.overload(mark_blocks_kernel, {"below": wp.float32, "above": wp.float32}),
-    False: wp.overload(mark_blocks_kernel, {"below": wp.float64, "above": wp.float64}),
-}
-WRITE_BLOCKS = {
-    True: wp.overload(write_blocks_kernel, {"below": wp.float32, "above": wp.float32}),
-    False: wp.overload(write_blocks_kernel, {"below": wp.float64, "above": wp.float64}),
-}
+def by_voxel(kernel: Any) -> dict[bool, Any]:
+    """Overloads of a kernel with ``below`` and ``above``, keyed by whether the grid holds floats."""
+    kinds = {True: wp.float32, False: wp.float64}
+    return {is_float: wp.overload(kernel, {"below": real, "above": real}) for is_float, real in kinds.items()}
+
+
+MARK_BLOCKS, WRITE_BLOCKS = by_voxel(mark_blocks_kernel), by_voxel(write_blocks_kernel)
 
 
 @wp.kernel

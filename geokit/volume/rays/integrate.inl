@@ -1,13 +1,12 @@
 // Optical depth and emission along rays.
 #include "volume/rays/emission.inl"
 
-// The integral of the trilinear interpolant along a ray, with lengths in units of toward. Of a grid of floats if
+// The integral of the trilinear interpolant along a ray, with lengths in units of its direction. Of a grid of floats if
 // `family` is one.
-static constexpr auto optical_depth = [](const RayField& field, const wp::vec3d& start, const wp::vec3d& toward,
-                                         double t_first, double t_last, auto family) -> double {
+static constexpr auto optical_depth = [](const RayField& field, const IndexRay& given, auto family) -> double {
     typedef decltype(family + family) real;
     auto in = opened(field.volume, field.anchor, real());
-    Ray ray = into_box(field.lower, field.upper, start, toward, t_first, t_last);
+    Ray ray = into_box(field.lower, field.upper, given.start, given.toward, given.t_first, given.t_last);
     double depth = 0.0;
     traverse(
         in, ray, [](real value, real other) { return value == other; },
@@ -25,10 +24,9 @@ static constexpr auto optical_depth = [](const RayField& field, const wp::vec3d&
 
 // The optical depth, and the emission that reaches the ray's start.
 static constexpr auto depth_and_emission = [](const RayField& field, unsigned long long emission_volume, double scale,
-                                              const wp::vec3d& start, const wp::vec3d& toward, double t_first,
-                                              double t_last) -> wp::vec2d {
+                                              const IndexRay& given) -> wp::vec2d {
     AnyGrid emission = opened(emission_volume, field.anchor, 0.0), density = opened(field.volume, field.anchor, 0.0);
-    Ray ray = into_box(field.lower, field.upper, start, toward, t_first, t_last);
+    Ray ray = into_box(field.lower, field.upper, given.start, given.toward, given.t_first, given.t_last);
     Light sum = {0.0, 0.0};
     auto add = [&](double span, double p0, double p1, double p2, double p3, double e0, double e1, double e2,
                    double e3) {

@@ -10,7 +10,7 @@ from typing import Any
 import warp as wp
 
 from geokit.core import cpp
-from geokit.volume.rays.raycast_kernels import REGISTERS, RayField, index_ray, is_usable
+from geokit.volume.rays.raycast_kernels import REGISTERS, IndexRay, RayField, index_ray, is_usable
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
@@ -30,10 +30,8 @@ NUMBERS = {"STEP_DEPTH": STEP_DEPTH, "SHORTEST_STEP": SHORTEST_STEP, "OPAQUE": O
 for _family in (wp.float32, wp.float64):
 
     @cpp.func_native("volume/rays/integrate.inl", **NUMBERS)
-    def optical_depth(
-        field: RayField, start: wp.vec3d, toward: wp.vec3d, t_first: wp.float64, t_last: wp.float64, family: _family
-    ) -> wp.float64:
-        """Integral of the values along a ray, with lengths in units of ``toward``.
+    def optical_depth(field: RayField, ray: IndexRay, family: _family) -> wp.float64:
+        """Integral of the values along a ray, with lengths in units of its direction.
 
         The type of ``family`` is float32 for grids of floats, float64 for all other types.
         """
@@ -41,15 +39,7 @@ for _family in (wp.float32, wp.float64):
 
 
 @cpp.func_native("volume/rays/integrate.inl", **NUMBERS)
-def depth_and_emission(
-    field: RayField,
-    emission_volume: wp.uint64,
-    scale: wp.float64,
-    start: wp.vec3d,
-    toward: wp.vec3d,
-    t_first: wp.float64,
-    t_last: wp.float64,
-) -> wp.vec2d:
+def depth_and_emission(field: RayField, emission_volume: wp.uint64, scale: wp.float64, ray: IndexRay) -> wp.vec2d:
     """Optical depth, ``scale`` times the integral of the values, and the integral of the attenuated emission."""
     ...
 
@@ -73,9 +63,9 @@ def depth_kernel(
         # The host then refuses the whole batch and names the first bad row.
         out_bad[0] = 1
         return
-    start, toward, t_first, t_last, scale = index_ray(field, origins[i], directions[i], t_min, max_distance)
-    depth = optical_depth(field, start, toward, t_first, t_last, family)
-    out_transmittance[i] = wp.exp(-extinction * depth * (wp.length(directions[i]) / scale))
+    ray = index_ray(field, origins[i], directions[i], t_min, max_distance)
+    depth = optical_depth(field, ray, family)
+    out_transmittance[i] = wp.exp(-extinction * depth * (wp.length(directions[i]) / ray.scale))
     out_emission[i] = wp.float64(0.0)
 
 
@@ -101,8 +91,8 @@ def emission_kernel(
     if not is_usable(origins[i], directions[i]):
         out_bad[0] = 1
         return
-    start, toward, t_first, t_last, scale = index_ray(field, origins[i], directions[i], t_min, max_distance)
-    unit = wp.length(directions[i]) / scale
-    found = depth_and_emission(field, emission_volume, extinction * unit, start, toward, t_first, t_last)
+    ray = index_ray(field, origins[i], directions[i], t_min, max_distance)
+    unit = wp.length(directions[i]) / ray.scale
+    found = depth_and_emission(field, emission_volume, extinction * unit, ray)
     out_transmittance[i] = wp.exp(-found[0])
     out_emission[i] = found[1] * unit

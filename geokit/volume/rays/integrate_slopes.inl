@@ -117,46 +117,46 @@ static constexpr auto add_share = [](const wp::array_t<double>& least, const wp:
 
 // The derivatives by the ray, and the least reciprocals of the values of both grids. `least` and `least_light` have an
 // entry for each value of a grid's buffer, or none if not wanted.
-static constexpr auto measure_slopes =
-    [](int i, const RayField& field, unsigned long long emission_volume, double scale, double unit,
-       const wp::vec3d& slopes, const wp::vec3d& start, const wp::vec3d& toward, double t_first, double t_last,
-       wp::array_t<wp::vec3d>& out_along, wp::array_t<wp::vec3d>& out_lever, wp::array_t<wp::vec2d>& out_length,
-       wp::array_t<int64_t>& least, wp::array_t<int64_t>& least_light) {
-        Ray ray = into_box(field.lower, field.upper, start, toward, t_first, t_last);
-        Slopes sum;
-        auto each = [&](AnyGrid& in, const Cubic& c, const double* m, const auto& values) {
-            turn(ray, c, m, sum);
-            if (values.shape[0] > 0)
-                spread(in, ray, c, m, [&](long long place, double share) { measure(values, place, share); });
-        };
-        along_slopes(
-            field, emission_volume, scale, unit, slopes, least_light.shape[0] > 0, ray, sum,
-            [&](AnyGrid& in, const Cubic& c) { each(in, c, sum.of_density, least); },
-            [&](AnyGrid& in, const Cubic& c) { each(in, c, sum.of_light, least_light); });
-        for (int k = 0; k < 3; ++k) {
-            out_along.data[i][k] = sum.along[k];
-            out_lever.data[i][k] = sum.lever[k];
-        }
-        out_length.data[i][0] = sum.stretched;
-        // Beyond the box all is background, which is 0.
-        out_length.data[i][1] = ray.left ? 0.0
-                                         : slopes[1] * unit * wp::exp(-sum.light.depth) * sum.end_light
-                                               - scale * slopes[0] * sum.end_density;
+static constexpr auto measure_slopes = [](int i, const RayField& field, unsigned long long emission_volume,
+                                          double scale, double unit, const wp::vec3d& slopes, const IndexRay& given,
+                                          wp::array_t<wp::vec3d>& out_along, wp::array_t<wp::vec3d>& out_lever,
+                                          wp::array_t<wp::vec2d>& out_length, wp::array_t<int64_t>& least,
+                                          wp::array_t<int64_t>& least_light) {
+    Ray ray = into_box(field.lower, field.upper, given.start, given.toward, given.t_first, given.t_last);
+    Slopes sum;
+    auto each = [&](AnyGrid& in, const Cubic& c, const double* m, const auto& values) {
+        turn(ray, c, m, sum);
+        if (values.shape[0] > 0)
+            spread(in, ray, c, m, [&](long long place, double share) { measure(values, place, share); });
     };
+    along_slopes(
+        field, emission_volume, scale, unit, slopes, least_light.shape[0] > 0, ray, sum,
+        [&](AnyGrid& in, const Cubic& c) { each(in, c, sum.of_density, least); },
+        [&](AnyGrid& in, const Cubic& c) { each(in, c, sum.of_light, least_light); });
+    for (int k = 0; k < 3; ++k) {
+        out_along.data[i][k] = sum.along[k];
+        out_lever.data[i][k] = sum.lever[k];
+    }
+    out_length.data[i][0] = sum.stretched;
+    // Beyond the box all is background, which is 0.
+    out_length.data[i][1] =
+        ray.left ? 0.0
+                 : slopes[1] * unit * wp::exp(-sum.light.depth) * sum.end_light - scale * slopes[0] * sum.end_density;
+};
 
 // Adds the shares of the values of both grids.
-static constexpr auto add_slopes =
-    [](const RayField& field, unsigned long long emission_volume, double scale, double unit, const wp::vec3d& slopes,
-       const wp::vec3d& start, const wp::vec3d& toward, double t_first, double t_last, const wp::array_t<double>& least,
-       const wp::array_t<double>& least_light, wp::array_t<int64_t>& sums, wp::array_t<int64_t>& sums_light) {
-        Ray ray = into_box(field.lower, field.upper, start, toward, t_first, t_last);
-        Slopes sum;
-        auto each = [&](AnyGrid& in, const Cubic& c, const double* m, const auto& values, const auto& to) {
-            if (values.shape[0] > 0)
-                spread(in, ray, c, m, [&](long long place, double share) { add_share(values, to, place, share); });
-        };
-        along_slopes(
-            field, emission_volume, scale, unit, slopes, least_light.shape[0] > 0, ray, sum,
-            [&](AnyGrid& in, const Cubic& c) { each(in, c, sum.of_density, least, sums); },
-            [&](AnyGrid& in, const Cubic& c) { each(in, c, sum.of_light, least_light, sums_light); });
+static constexpr auto add_slopes = [](const RayField& field, unsigned long long emission_volume, double scale,
+                                      double unit, const wp::vec3d& slopes, const IndexRay& given,
+                                      const wp::array_t<double>& least, const wp::array_t<double>& least_light,
+                                      wp::array_t<int64_t>& sums, wp::array_t<int64_t>& sums_light) {
+    Ray ray = into_box(field.lower, field.upper, given.start, given.toward, given.t_first, given.t_last);
+    Slopes sum;
+    auto each = [&](AnyGrid& in, const Cubic& c, const double* m, const auto& values, const auto& to) {
+        if (values.shape[0] > 0)
+            spread(in, ray, c, m, [&](long long place, double share) { add_share(values, to, place, share); });
     };
+    along_slopes(
+        field, emission_volume, scale, unit, slopes, least_light.shape[0] > 0, ray, sum,
+        [&](AnyGrid& in, const Cubic& c) { each(in, c, sum.of_density, least, sums); },
+        [&](AnyGrid& in, const Cubic& c) { each(in, c, sum.of_light, least_light, sums_light); });
+};

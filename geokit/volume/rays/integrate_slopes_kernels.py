@@ -10,7 +10,7 @@ import warp as wp
 
 from geokit.core import cpp
 from geokit.volume.rays.integrate_kernels import NUMBERS
-from geokit.volume.rays.raycast_kernels import RayField, index_ray
+from geokit.volume.rays.raycast_kernels import IndexRay, RayField, index_ray
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
@@ -25,16 +25,13 @@ LARGEST_RECIPROCAL_BITS = (1023 + 960) << 52
 
 @cpp.func_native("volume/rays/integrate_slopes.inl", WHOLE=WHOLE, **NUMBERS)
 def measure_slopes(
-    ray: int,
+    i: int,
     field: RayField,
     emission_volume: wp.uint64,
     scale: wp.float64,
     unit: wp.float64,
     slopes: wp.vec3d,
-    start: wp.vec3d,
-    toward: wp.vec3d,
-    t_first: wp.float64,
-    t_last: wp.float64,
+    ray: IndexRay,
     out_along: wp.array(dtype=wp.vec3d),
     out_lever: wp.array(dtype=wp.vec3d),
     out_length: wp.array(dtype=wp.vec2d),
@@ -50,10 +47,7 @@ def add_slopes(
     scale: wp.float64,
     unit: wp.float64,
     slopes: wp.vec3d,
-    start: wp.vec3d,
-    toward: wp.vec3d,
-    t_first: wp.float64,
-    t_last: wp.float64,
+    ray: IndexRay,
     least: wp.array(dtype=wp.float64),
     least_light: wp.array(dtype=wp.float64),
     sums: wp.array(dtype=wp.int64),
@@ -84,9 +78,9 @@ def ray_slopes_kernel(
     emission.
     """
     i = first + wp.tid()
-    start, toward, t_first, t_last, scale = index_ray(field, origins[i], directions[i], t_min, max_distance)
+    ray = index_ray(field, origins[i], directions[i], t_min, max_distance)
     length = wp.length(directions[i])
-    unit = length / scale
+    unit = length / ray.scale
     measure_slopes(
         i,
         field,
@@ -94,10 +88,7 @@ def ray_slopes_kernel(
         extinction * unit,
         unit,
         slopes[i],
-        start,
-        toward,
-        t_first,
-        t_last,
+        ray,
         out_origins,
         out_directions,
         out_length,
@@ -109,8 +100,8 @@ def ray_slopes_kernel(
     # Integrals over t grow with the length of the direction, and a ray of limited length ends at its reach over that.
     along = out_length[i][0] + slopes[i][1] * slopes[i][2]
     if wp.isfinite(max_distance):
-        along = along - out_length[i][1] * scale * (max_distance / length)
-    out_directions[i] = to_world * out_directions[i] / scale + directions[i] * (along / (length * length))
+        along = along - out_length[i][1] * ray.scale * (max_distance / length)
+    out_directions[i] = to_world * out_directions[i] / ray.scale + directions[i] * (along / (length * length))
 
 
 @wp.kernel
@@ -131,23 +122,11 @@ def add_slopes_kernel(
 ):
     """Add the shares of each value of both grids, in units of 2^-39 over its ``least``."""
     i = first + wp.tid()
-    start, toward, t_first, t_last, scale = index_ray(field, origins[i], directions[i], t_min, max_distance)
-    unit = wp.length(directions[i]) / scale
-    add_slopes(
-        field,
-        emission_volume,
-        extinction * unit,
-        unit,
-        slopes[i],
-        start,
-        toward,
-        t_first,
-        t_last,
-        least,
-        least_light,
-        out_sums,
-        out_sums_light,
-    )
+    ray = index_ray(field, origins[i], directions[i], t_min, max_distance)
+    unit = wp.length(directions[i]) / ray.scale
+    scale = extinction * unit
+    row = slopes[i]
+    add_slopes(field, emission_volume, scale, unit, row, ray, least, least_light, out_sums, out_sums_light)
 
 
 @wp.kernel

@@ -3,12 +3,11 @@
 #include "volume/rays/traverse.inl"
 #include "volume/rays/traverse_blocks.inl"
 
-static constexpr auto first_crossing = [](const RayField& field, const wp::vec3d& start, const wp::vec3d& toward,
-                                          double t_first, double t_last, double isovalue, auto below,
+static constexpr auto first_crossing = [](const RayField& field, const IndexRay& given, double isovalue, auto below,
                                           auto above) -> wp::vec4d {
     typedef decltype(below + below) real;
     auto in = opened(field.volume, field.anchor, real());
-    Ray ray = into_box(field.lower, field.upper, start, toward, t_first, t_last);
+    Ray ray = into_box(field.lower, field.upper, given.start, given.toward, given.t_first, given.t_last);
     Crossing found;
     auto on_cell = [&](const real* c, bool mixed) {
         return crosses_cell(ray, c, mixed, isovalue, below, above, found,

@@ -7,6 +7,7 @@ from typing import Any
 import warp as wp
 
 from geokit.core import cpp
+from geokit.volume.rays.crossing_blocks_kernels import by_voxel
 from geokit.volume.rays.raycast_kernels import NUMBERS, SHORTEST_DIRECTION, RayField
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
@@ -44,8 +45,4 @@ def raycast_packets_kernel(
 ): ...
 
 
-# Keys: whether the grid holds floats.
-RAYCAST_PACKETS = {
-    True: wp.overload(raycast_packets_kernel, {"below": wp.float32, "above": wp.float32}),
-    False: wp.overload(raycast_packets_kernel, {"below": wp.float64, "above": wp.float64}),
-}
+RAYCAST_PACKETS = by_voxel(raycast_packets_kernel)

@@ -10,7 +10,7 @@ from typing import Any
 import warp as wp
 
 from geokit.core import cpp
-from geokit.volume.rays.crossing_blocks_kernels import BLOCK_WORDS
+from geokit.volume.rays.crossing_blocks_kernels import BLOCK_WORDS, by_voxel
 
 # Unfused operations give equal bits on every device. Loops that are not unrolled compile in a tenth of the time.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
@@ -46,6 +46,18 @@ class RayField:
     blocks: wp.array(dtype=wp.uint64)
 
 
+@wp.struct
+class IndexRay:
+    """A ray in index space relative to the anchor voxel; the largest component of ``toward`` is 1."""
+
+    start: wp.vec3d
+    toward: wp.vec3d
+    t_first: wp.float64
+    t_last: wp.float64
+    # Factor from the t of the world.
+    scale: wp.float64
+
+
 NUMBERS = {"ROUNDS": MOST_ITERATIONS, "RESOLUTION": RESOLUTION, "BLOCK_WORDS": BLOCK_WORDS}
 
 
@@ -53,16 +65,7 @@ NUMBERS = {"ROUNDS": MOST_ITERATIONS, "RESOLUTION": RESOLUTION, "BLOCK_WORDS": B
 for _voxel in (wp.float32, wp.float64):
 
     @cpp.func_native("volume/rays/raycast.inl", **NUMBERS)
-    def first_crossing(
-        field: RayField,
-        start: wp.vec3d,
-        toward: wp.vec3d,
-        t_first: wp.float64,
-        t_last: wp.float64,
-        isovalue: wp.float64,
-        below: _voxel,
-        above: _voxel,
-    ) -> wp.vec4d:
+    def first_crossing(field: RayField, ray: IndexRay, isovalue: wp.float64, below: _voxel, above: _voxel) -> wp.vec4d:
         """Ray parameter of the first crossing, infinite for none, and the interpolant's gradient there in index space.
 
         ``below`` and ``above`` are the isovalue, or its neighbors in the voxel type if that type cannot represent it:
@@ -80,15 +83,21 @@ def is_usable(origin: wp.vec3d, direction: wp.vec3d) -> bool:
 
 
 @wp.func
-def index_ray(field: RayField, origin: wp.vec3d, direction: wp.vec3d, t_min: wp.float64, max_distance: wp.float64):
-    """Start, direction (largest component 1), first and last t in index space, and the factor from world t to it."""
+def index_ray(
+    field: RayField, origin: wp.vec3d, direction: wp.vec3d, t_min: wp.float64, max_distance: wp.float64
+) -> IndexRay:
+    """A ray of the world as the walks take it."""
     largest = wp.max(wp.max(wp.abs(direction[0]), wp.abs(direction[1])), wp.abs(direction[2]))
     unit = direction / largest
     toward = field.to_index * unit
     voxels = wp.max(wp.max(wp.abs(toward[0]), wp.abs(toward[1])), wp.abs(toward[2]))
-    reach = max_distance / wp.length(unit) * voxels
-    scale = voxels * largest
-    return field.to_index * (origin - field.corner), toward / voxels, t_min * scale, reach, scale
+    ray = IndexRay()
+    ray.start = field.to_index * (origin - field.corner)
+    ray.toward = toward / voxels
+    ray.scale = voxels * largest
+    ray.t_first = t_min * ray.scale
+    ray.t_last = max_distance / wp.length(unit) * voxels
+    return ray
 
 
 @wp.func
@@ -139,13 +148,9 @@ def raycast_kernel(
         # The host then refuses the whole batch and names the first bad row.
         out_bad[0] = 1
         return
-    start, toward, t_first, t_last, scale = index_ray(field, origin, direction, t_min, max_distance)
-    found = first_crossing(field, start, toward, t_first, t_last, isovalue, below, above)
-    write_hit(i, found, scale, field.to_index, origin, direction, out_t, out_points, out_normals)
+    ray = index_ray(field, origin, direction, t_min, max_distance)
+    found = first_crossing(field, ray, isovalue, below, above)
+    write_hit(i, found, ray.scale, field.to_index, origin, direction, out_t, out_points, out_normals)
 
 
-# Keys: whether the grid holds floats.
-RAYCAST = {
-    True: wp.overload(raycast_kernel, {"below": wp.float32, "above": wp.float32}),
-    False: wp.overload(raycast_kernel, {"below": wp.float64, "above": wp.float64}),
-}
+RAYCAST = by_voxel(raycast_kernel)

@@ -11,6 +11,7 @@ from typing import Any
 import warp as wp
 
 from geokit.core import cpp
+from geokit.core.gradients.sums_kernels import overloads
 from geokit.volume.sampling.leaf_table_kernels import LeafTable
 from geokit.volume.sampling.sample_kernels import linear_differences, linear_value, world_gradient
 
@@ -54,14 +55,4 @@ def sample_slopes_at_once_kernel(
 
 
 # By the type of the points' coordinates.
-AT_ONCE = {
-    number: wp.overload(
-        sample_slopes_at_once_kernel,
-        {
-            "points": wp.array(dtype=vector),
-            "out_value": wp.array(dtype=number),
-            "out_slopes": wp.array(dtype=vector),
-        },
-    )
-    for number, vector in ((wp.float32, wp.vec3f), (wp.float64, wp.vec3d))
-}
+AT_ONCE = overloads(sample_slopes_at_once_kernel, ("points", "out_slopes"), ("out_value",))

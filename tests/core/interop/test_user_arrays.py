@@ -471,6 +471,6 @@ def test_more_numbers_than_one_launch_takes_become_float32(device, shape, wide, 
     """8 nearest of 400 million points are more numbers than warp counts in one array of them."""
     monkeypatch.setattr(user_arrays, "NARROWED_AT_ONCE", 37)
     values = np.random.default_rng(0).normal(size=(*shape, 3) if wide is wp.vec3d else shape)
-    found = user_arrays._narrowed_there(wp.array(values, dtype=wide, device=device), narrow)
+    found = user_arrays.narrowed(wp.array(values, dtype=wide, device=device), narrow)
     assert found.dtype is narrow
     assert np.array_equal(found.numpy(), values.astype(np.float32))

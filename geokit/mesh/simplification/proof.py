@@ -1,0 +1,67 @@
+"""Where a mesh and what it was made from are farther from each other than a limit, trial after trial."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geokit.mesh.model.triangle_mesh import TriangleMesh
+from geokit.mesh.simplification.deviation import far_faces
+from geokit.mesh.simplification.invariants import turned_faces
+from geokit.mesh.surfaces.surface import Surface
+
+__all__ = ["Proof"]
+
+
+class Proof:
+    """What is proven of the last trial: faces that the next one has too are not looked at again.
+
+    Args:
+        original: The original surface.
+        limit: Distance [world], above 0.
+        oriented: Whether faces are to face the way of the original's.
+    """
+
+    def __init__(self, original: Surface, limit: float, oriented: bool) -> None:
+        self._original, self._limit, self._oriented = original, limit, oriented
+        corners = original.mesh.vertices[original.mesh.faces]
+        self._middle = corners.mean(axis=1)
+        self._reach = limit + np.linalg.norm(corners - self._middle[:, None], axis=2).max(axis=1)
+        # Of the last trial: corners of each face of the original that is left, NaN for others; whether each was wrong.
+        self._left = np.full(corners.shape, np.nan)
+        self._wrong_there = np.ones(len(corners), bool)
+        # Whether each face of the original is far from the last trial.
+        self._far = np.ones(len(corners), bool)
+
+    def wrong(self, surface: Surface, source: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Whether each face of the original lies where a trial is farther than the limit, or faces the other way (F,).
+
+        Args:
+            surface: The trial, on the device of the original.
+            source: The face of the original that each of its faces was.
+        """
+        mesh, original = surface.mesh, self._original.mesh
+        corners = mesh.vertices[mesh.faces]
+        rows = np.flatnonzero((corners != self._left[source]).any(axis=(1, 2)) | self._wrong_there[source])
+        gone = ~np.isnan(self._left[:, 0, 0])
+        gone[np.delete(source, rows)] = False
+        if gone.any():
+            # What is proven by faces that are still there stays proven.
+            faces = np.arange(3 * gone.sum()).reshape(-1, 3)
+            before = Surface(TriangleMesh(self._left[gone].reshape(-1, 3), faces), device=surface.device)
+            self._far |= before.closest_point(self._middle).distance <= self._reach
+        again = np.flatnonzero(self._far)
+        left = TriangleMesh(original.vertices, original.faces[again])
+        self._far[again] = ~np.isnan(far_faces(left, surface, self._limit)[:, 0])
+        new = TriangleMesh(mesh.vertices, mesh.faces[rows])
+        place = far_faces(new, self._original, self._limit)
+        if self._oriented:
+            turned = turned_faces(new, self._original, self._limit)
+            place[turned] = corners[rows[turned]].mean(axis=1)
+        there = ~np.isnan(place[:, 0])
+        self._left[:], self._left[source] = np.nan, corners
+        self._wrong_there[:], self._wrong_there[source[rows[there]]] = False, True
+        wrong = self._far.copy()
+        if there.any():
+            wrong[self._original.closest_point(place[there]).triangle_id] = True
+        return wrong
