@@ -320,17 +320,18 @@ ROWS = (wp.vec3d, wp.vec3f)
 SURVEY = {r: wp.overload(survey_kernel, {"points": wp.array(dtype=r)}) for r in ROWS}
 CONDENSE = {r: wp.overload(condense_kernel, {"points": wp.array(dtype=r)}) for r in ROWS}
 GROUP_BOX = {r: wp.overload(group_box_kernel, {"points": wp.array(dtype=r)}) for r in ROWS}
-# Of points without groups, and in groups.
-KERNELS = [kernels_of(cells_of) for cells_of in (cells_of_all, cells_of_own)]
+key_kernel, gather_packed_kernel = kernels_of(cells_of_all)
+group_key_kernel, gather_groups_kernel = kernels_of(cells_of_own)
 KEY, GROUP_KEY = (
     {
         (r, k): wp.overload(kernel, {"points": wp.array(dtype=r), "out_key": wp.array(dtype=k)})
         for r in ROWS
         for k in (wp.int32, wp.int64)
     }
-    for kernel, _ in KERNELS
+    for kernel in (key_kernel, group_key_kernel)
 )
 GATHER_PACKED, GATHER_GROUPS = (
-    {r: wp.overload(kernel, {"points": wp.array(dtype=r)}) for r in ROWS} for _, kernel in KERNELS
+    {r: wp.overload(kernel, {"points": wp.array(dtype=r)}) for r in ROWS}
+    for kernel in (gather_packed_kernel, gather_groups_kernel)
 )
 TABLE = {k: wp.overload(table_kernel, {"key": wp.array(dtype=k)}) for k in (wp.int32, wp.int64)}
