@@ -30,19 +30,13 @@ NOWHERE = np.float32(1.0e5)
 
 @cpp.func_native(
     "mesh/bvh/bvh8_moments_cpu.inl",
+    SurfaceTree,
     RAW_SIZE=RAW_SIZE,
     MOMENT_ROWS=MOMENT_ROWS,
     RADIUS_SLACK=RADIUS_SLACK,
     NOWHERE=NOWHERE,
 )
-def node_moments(
-    tree: SurfaceTree,
-    flipped: wp.array(dtype=wp.bool),
-    node: int,
-    raw: wp.array(dtype=wp.float64),
-    moments: wp.array(dtype=wp.float32),
-    areas: wp.array(dtype=wp.float32),
-): ...
+def node_moments(): ...
 
 
 @wp.kernel
