@@ -48,9 +48,8 @@ class Forest:
         self.begin, self._origins, self.scales, self.device = begin, origins, scales, vertices.device
         self._lock = Lock()
         self._ray_table: NDArray[Any] | None = None
-        boxes, self._children, slots, self._nodes, self.slots = build_wide_trees(
-            vertices, faces, begin, origins, scales
-        )
+        built = build_wide_trees(vertices, faces, begin, origins, scales)
+        boxes, self._children, slots, self._nodes, self.slots = built
         self._placed = place_triangles(slots, self.slots, vertices, faces, origins, scales)
         # Triangles of a tree are numbered from its own first one on.
         numbers = slots.numpy()

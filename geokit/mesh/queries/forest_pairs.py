@@ -34,9 +34,8 @@ def self_intersecting(forest: Forest, meshes: NDArray[np.int64]) -> NDArray[np.b
         unit=2.0 ** -np.round(np.log2(forest.scales)),
     )
     searches = struct_array(table, kernels.ForestBoxes, device)
-    launcher.launch(
-        kernels.forest_slot_boxes_kernel, slots, [HostArray(forest.slots.astype(np.int32))], [searches], device
-    )
+    begin = HostArray(forest.slots.astype(np.int32))
+    launcher.launch(kernels.forest_slot_boxes_kernel, slots, [begin], [searches], device)
     leaves = np.diff(forest.slots)[meshes] // WIDTH
     owner = np.repeat(meshes, leaves)
     leaf = np.arange(len(owner)) - np.repeat(np.cumsum(leaves) - leaves, leaves)
