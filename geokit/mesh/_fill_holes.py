@@ -77,12 +77,12 @@ def fill_holes(mesh: MeshLike, *, max_width: float = math.inf) -> FilledHoles:
         Barequet and Sharir, Filling gaps in the boundary of a polyhedron (1995).
     Example:
         >>> box = gk.mesh.box()
-        >>> found = gk.mesh.fill_holes(gk.mesh.TriangleMesh(box.vertices, box.faces[2:]))
-        >>> found.mesh.volume, found.hole.max(), found.width.round(3)
-        (1.0, 0, array([1.414]))
+        >>> found = gk.mesh.fill_holes(gk.mesh.TriangleMesh(box.vertices, box.faces[1:]))
+        >>> found.mesh.volume, found.hole.tolist().count(0), found.width.round(3)
+        (1.0, 1, array([1.414]))
     """
     given, flipped, _ = orient(require_mesh(mesh, "mesh"))
-    max_width = math.inf if max_width == math.inf else require_finite_scalar(max_width, "max_width", low=-math.ulp(0.0))
+    max_width = require_finite_scalar(max_width, "max_width", low=-math.ulp(0.0), infinite=True)
     _, _, collapsed, topology = mesh_topology(given)
     rims = find_rims(topology)
     face = np.flatnonzero(~collapsed)[rims.half_edges // 3]
