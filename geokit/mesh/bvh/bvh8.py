@@ -153,17 +153,22 @@ def place_triangles(
     return placed
 
 
-def ray_leaves(tree: Any) -> "wp.array":
-    """The packed ray leaves of a tree on the CPU."""
+def ray_leaves(
+    slot_triangle: "wp.array",
+    slots: NDArray[np.int64],
+    placed: tuple["wp.array", "wp.array"],
+    origins: NDArray[np.float64],
+    scales: NDArray[np.float64],
+) -> "wp.array":
+    """The packed leaves for rays; the arguments are those and the answer of :func:`place_triangles`."""
     import warp as wp
 
     from geokit.mesh.bvh.bvh8_leaves_cpu_kernels import LEAF_WORDS, ray_leaves_kernel
     from geokit.mesh.bvh.tree_memory import tree_array
 
-    device = tree.slot_triangle.device
-    blocks = len(tree.slot_triangle) // WIDTH
+    device, blocks = slot_triangle.device, len(slot_triangle) // WIDTH
     leaves = tree_array(LEAF_WORDS * blocks, wp.float32, device)
-    inputs = [tree.slot_triangle, tree.corners, tree.leaves, tree.origin, tree.scale]
+    inputs = [_int32(slots), slot_triangle, *placed, HostArray(origins), HostArray(scales)]
     launcher.launch(ray_leaves_kernel, blocks, inputs, [leaves], device)
     return leaves
 

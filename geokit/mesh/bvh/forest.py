@@ -98,28 +98,21 @@ class Forest:
     @property
     def ray_table(self) -> NDArray[Any]:
         """The same with leaves for rays."""
+        from geokit.mesh.bvh.bvh8 import ray_leaves
+        from geokit.mesh.bvh.bvh8_leaves_cpu_kernels import LEAF_WORDS
+        from geokit.mesh.bvh.tree_kernels import SurfaceTree
+
         # It has the addresses of leaves that this object keeps: threads must not make them twice.
         with self._lock:
             if self._ray_table is None:
-                self._ray_table = self._made_ray_table()
+                placed, frames = (self._corners, self._leaves), (frame.values for frame in self._frames)
+                self._ray_leaves = ray_leaves(self._slot_triangle, self.slots, placed, *frames)
+                starts = LEAF_WORDS * self.slots // WIDTH
+                leaves = Parts(self._ray_leaves, starts[:-1], np.diff(starts))
+                table = self.table.copy()
+                table["ray_leaves"] = struct_table(SurfaceTree, len(table), ray_leaves=leaves)["ray_leaves"]
+                self._ray_table = table
             return self._ray_table
-
-    def _made_ray_table(self) -> NDArray[Any]:
-        import warp as wp
-
-        from geokit.mesh.bvh.bvh8_leaves_cpu_kernels import LEAF_WORDS
-        from geokit.mesh.bvh.forest_cpu_kernels import forest_ray_leaves_kernel
-        from geokit.mesh.bvh.tree_kernels import SurfaceTree
-        from geokit.mesh.bvh.tree_memory import tree_array
-
-        blocks = len(self._slot_triangle) // WIDTH
-        self._ray_leaves = tree_array(LEAF_WORDS * blocks, wp.float32, self.device)
-        inputs = [self.slot_offsets, self._slot_triangle, self._corners, self._leaves, *self._frames]
-        launcher.launch(forest_ray_leaves_kernel, blocks, inputs, [self._ray_leaves], self.device)
-        leaves = Parts(self._ray_leaves, LEAF_WORDS * self.slots[:-1] // WIDTH, LEAF_WORDS * np.diff(self.slots) // 8)
-        table = self.table.copy()
-        table["ray_leaves"] = struct_table(SurfaceTree, len(table), ray_leaves=leaves)["ray_leaves"]
-        return table
 
     def tree(self, mesh: int) -> Any:
         """The :class:`SurfaceTree` of one mesh, over the same memory."""

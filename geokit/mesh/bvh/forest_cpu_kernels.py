@@ -6,7 +6,6 @@ import warp as wp
 
 from geokit.core.scan_kernels import part_of
 from geokit.mesh.bvh.box_walk_kernels import slot_box
-from geokit.mesh.bvh.bvh8_leaves_cpu_kernels import pack_leaf
 from geokit.mesh.bvh.bvh8_moments_kernels import node_moments
 from geokit.mesh.bvh.tree_kernels import SurfaceTree
 
@@ -34,23 +33,6 @@ class ForestBoxes:
     found: wp.array(dtype=int)
     # A power of two near the inverse of the scale.
     unit: wp.float64
-
-
-@wp.kernel
-def forest_ray_leaves_kernel(
-    first: int,
-    begin: wp.array(dtype=int),
-    slot_triangle: wp.array(dtype=int),
-    corners: wp.array(dtype=wp.vec3d),
-    leaves: wp.array(dtype=wp.float32),
-    origins: wp.array(dtype=wp.vec3d),
-    scales: wp.array(dtype=wp.float64),
-    out_leaves: wp.array(dtype=wp.float32),
-):
-    """As ray_leaves_kernel; ``begin`` has the first slot of each tree, and their number."""
-    block = first + wp.tid()
-    tree = part_of(begin, 8 * block)
-    pack_leaf(block, slot_triangle, corners, leaves, origins[tree], scales[tree], out_leaves)
 
 
 @wp.kernel

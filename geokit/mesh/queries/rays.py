@@ -7,6 +7,8 @@ from collections.abc import Callable
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from geokit.core import launcher
 from geokit.core.blocks.chunked_queries import Progress, in_chunks
 from geokit.core.interop import user_arrays
@@ -80,6 +82,7 @@ class RayQueries:
     mesh: TriangleMesh
     _device: "wp.Device"
     _frame: Frame
+    _frames: Any
     _tree: Any
 
     @query(
@@ -289,7 +292,8 @@ class RayQueries:
 
         tree: Any = SurfaceTree()
         tree.assign(self._tree)
-        tree.ray_leaves = ray_leaves(tree)
+        slots = np.array([0, len(tree.slot_triangle)])
+        tree.ray_leaves = ray_leaves(tree.slot_triangle, slots, (tree.corners, tree.leaves), *self._frames)
         return tree
 
     def _count_crossings(
