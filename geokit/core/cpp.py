@@ -25,7 +25,6 @@ __all__ = ["cpp", "func_native", "native_item"]
 # Types of C++ whose names warp does not have.
 _TYPES = {
     "int": int,
-    "bool": bool,
     "float": wp.float32,
     "double": wp.float64,
     "unsigned": wp.uint32,
