@@ -116,7 +116,7 @@ def _unclashing(
     corner: NDArray[np.int64],
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Corners of patches' faces as rows of the rims (T, 3), and the hole of each (T,); faces that clash are refused."""
-    fixed = edges_within(topology, rims), face_normals(mesh)[corner // 3]
+    fixed = edges_within(topology, rims), face_normals(TriangleMesh(mesh.vertices, mesh.faces[corner // 3]))
     rows, hole, source = np.zeros((0, 3), np.int64), np.zeros(0, np.int64), None
     refused = rows
     for _ in range(TRIALS):
