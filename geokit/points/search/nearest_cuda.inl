@@ -1,48 +1,117 @@
-// The k nearest points on a GPU: one thread's traversal of the tree, with a list in registers or a heap in the result.
-
-// A query and its bound; `row` and `indices` are its row of the result.
-struct Query {
-    int k, block, seed, self;
-    double x, y, z, limit;
-    double* row;
-    int* indices;
-    double bound;
-    int bound_index;
-};
+// The k nearest points on a GPU: short lists by one thread for each query, longer ones by a team, which is a warp with a run
+// of adjacent queries.
+//
+// A team collects the points within a bound in shared memory; it sorts them by (squared distance, index) at the end, and
+// when there is no room for more. The bound of a query comes from the one before, so most candidates are among the
+// nearest, and the order in which nodes are visited does not matter: the tree is walked once for the run, and each query
+// looks at the leaves that were found. On a CPU, where tests run this, a team has one thread.
+#if defined(__CUDA_ARCH__)
+static constexpr int LANES = 32, NODES = LANES / WIDTH, LEAVES = LANES / LEAF;
+#else
+static constexpr int LANES = 1, NODES = 1, LEAVES = 1;
+#endif
+// Nodes that wait: of each of nine levels at most the children of those that are opened together. Leaves that wait.
+static constexpr int STACK = 9 * NODES * WIDTH, QUEUE = 128;
+// The number of a node, which has at most 2^24 on its level, and the level above.
+static constexpr int LEVEL = 1 << 25;
 
 // Whether the squared distance a of point i comes before b of point j.
 static constexpr auto before = [](double a, int i, double b, int j) -> bool { return a < b || (a == b && i < j); };
 
-// Reads a query; false where the number is one of the rest of a block.
-static constexpr auto read_query = [](const NearestQueries& queries, int query, Query& q) -> bool {
+static constexpr auto wait_for_all = [] {
+#if defined(__CUDA_ARCH__)
+    __syncwarp();
+#endif
+};
+
+// The bits of the lanes for which something holds.
+static constexpr auto votes_of = [](bool holds) -> unsigned {
+#if defined(__CUDA_ARCH__)
+    return __ballot_sync(0xffffffffu, holds);
+#else
+    return holds;
+#endif
+};
+
+static constexpr auto bits_of = [](unsigned votes) -> int {
+#if defined(__CUDA_ARCH__)
+    return __popc(votes);
+#else
+    return __builtin_popcount(votes);
+#endif
+};
+
+static constexpr auto lowest_bit = [](unsigned votes) -> int {
+#if defined(__CUDA_ARCH__)
+    return __ffs(votes) - 1;
+#else
+    return __builtin_ctz(votes);
+#endif
+};
+
+// The place of a lane's entry among those of all lanes that have one; `count` grows by their number.
+static constexpr auto place_of = [](bool has, int lane, int& count) -> int {
+    const unsigned votes = votes_of(has);
+    const int place = count + bits_of(votes & ((1u << lane) - 1));
+    count += bits_of(votes);
+    return place;
+};
+
+struct Box {
+    double lower[3], upper[3];
+};
+
+// Squared distance of a box from one whose sides begin at `side`; no more than that of any points in them.
+static constexpr auto gap_squared = [](const Box& box, const double* side) -> double {
+    double squared[3];
+    for (int axis = 0; axis < 3; ++axis) {
+        const double below = side[WIDTH * axis] - box.upper[axis], above = box.lower[axis] - side[WIDTH * (3 + axis)];
+        const double most = below > above ? below : above;
+        squared[axis] = most > 0.0 ? most * most : 0.0;
+    }
+    return (squared[0] + squared[1]) + squared[2];
+};
+
+// A list of LENGTH entries in registers, sorted by (squared distance, index).
+//
+// The loops have constant bounds: unrolled, everything stays in registers. A shorter list begins with entries that
+// precede every candidate, so that the last entry is always the k-th.
+static constexpr auto nearest_alone = [](int query, const NearestTree& tree, const NearestQueries& queries) {
     const int owner = queries.index.data[query];
-    if (owner == NONE) return false;
-    q.k = queries.k;
-    q.block = query / LEAF;
-    q.seed = queries.seeded ? q.block : -1;
-    q.self = queries.excluded ? owner : -1;
-    const double* own = queries.positions.data + (size_t)q.block * 3 * LEAF + query % LEAF;
-    q.x = own[0], q.y = own[LEAF], q.z = own[2 * LEAF];
-    q.limit = queries.limit_squared.data[queries.limit_squared.shape[0] > 1 ? owner : 0];
-    q.row = queries.distance.data + (size_t)owner * q.k;
-    q.indices = queries.indices.data + (size_t)owner * q.k;
-    q.bound = q.limit;
-    q.bound_index = NONE;
-    return true;
-};
-
-static constexpr auto outside = [](double lower, double upper, double value) -> double {
-    const double below = lower - value, above = value - upper;
-    const double most = below > above ? below : above;
-    return most > 0.0 ? most : 0.0;
-};
-
-// Calls offer(given, index), which tightens the bound, for every point that may be among the nearest.
-static constexpr auto search = [](const NearestTree& tree, const NearestQueries& queries, const Query& q,
-                                  auto&& offer) {
-    const double x = q.x, y = q.y, z = q.z;
-    const int self = q.self, seed = q.seed;
-    // Within the search: as a function of its own it made lists of 32 a fifth slower on an H200.
+    if (owner == NONE) return;
+    const int k = queries.k, block = query / LEAF, K = LENGTH;
+    const int seed = queries.seeded ? block : -1, self = queries.excluded ? owner : -1;
+    const double* const own = queries.positions.data + (size_t)block * 3 * LEAF + query % LEAF;
+    const double x = own[0], y = own[LEAF], z = own[2 * LEAF];
+    const double limit = queries.limit_squared.data[queries.limit_squared.shape[0] > 1 ? owner : 0];
+    const Box place{{x, y, z}, {x, y, z}};
+    double* const row = queries.distance.data + (size_t)owner * k;
+    int* const indices = queries.indices.data + (size_t)owner * k;
+    double bound = limit;
+    int bound_index = NONE;
+    double squared[K];
+    int candidate[K];
+    #pragma unroll
+    for (int i = 0; i < K; ++i) {
+        squared[i] = i < K - k ? -1.0 : limit;
+        candidate[i] = i < K - k ? -1 : NONE;
+    }
+    auto offer = [&](double given, int index) {
+        // Entries before the new one stay; the new one replaces the first other entry, and the rest move up by one.
+        #pragma unroll
+        for (int i = K - 1; i > 0; --i) {
+            const bool moves = before(given, index, squared[i - 1], candidate[i - 1]);
+            const bool enters = before(given, index, squared[i], candidate[i]);
+            squared[i] = moves ? squared[i - 1] : enters ? given : squared[i];
+            candidate[i] = moves ? candidate[i - 1] : enters ? index : candidate[i];
+        }
+        if (before(given, index, squared[0], candidate[0])) {
+            squared[0] = given;
+            candidate[0] = index;
+        }
+        bound = squared[K - 1];
+        bound_index = candidate[K - 1];
+    };
     auto scan = [&](int leaf) {
         const double* at = tree.positions.data + (size_t)leaf * 3 * LEAF;
         const int* index = tree.index.data + (size_t)leaf * LEAF;
@@ -50,14 +119,14 @@ static constexpr auto search = [](const NearestTree& tree, const NearestQueries&
             const double dx = at[i] - x, dy = at[LEAF + i] - y, dz = at[2 * LEAF + i] - z;
             const double given = (dx * dx + dy * dy) + dz * dz;
             // The rest of the last leaf is NaN: every comparison with it is false.
-            if (given <= q.bound && index[i] != self && before(given, index[i], q.bound, q.bound_index))
+            if (given <= bound && index[i] != self && before(given, index[i], bound, bound_index))
                 offer(given, index[i]);
         }
     };
     if (seed >= 0) scan(seed);
-    int stack[STACK], height = 1;
-    signed char level[STACK];
-    double entry[STACK];
+    int stack[9 * WIDTH], height = 1;
+    signed char level[9 * WIDTH];
+    double entry[9 * WIDTH];
     stack[0] = 0;
     level[0] = (signed char)tree.top;
     entry[0] = 0.0;
@@ -65,8 +134,8 @@ static constexpr auto search = [](const NearestTree& tree, const NearestQueries&
     int first_leaf = 0, leaf_end = 0;
     if (part) {
         // The lowest node above all leaves of the group.
-        first_leaf = queries.leaves.data[q.block][0];
-        leaf_end = queries.leaves.data[q.block][1];
+        first_leaf = queries.leaves.data[block][0];
+        leaf_end = queries.leaves.data[block][1];
         int l = 1;
         while (first_leaf < leaf_end && first_leaf >> 3 * l != (leaf_end - 1) >> 3 * l) ++l;
         stack[0] = first_leaf >> 3 * l;
@@ -75,10 +144,10 @@ static constexpr auto search = [](const NearestTree& tree, const NearestQueries&
     }
     while (height > 0) {
         --height;
-        if (entry[height] > q.bound) continue;
+        if (entry[height] > bound) continue;
         const int n = stack[height], l = level[height];
         if (l == 0) {
-            if (n != seed && before(entry[height], tree.least.data[n], q.bound, q.bound_index)) scan(n);
+            if (n != seed && before(entry[height], tree.least.data[n], bound, bound_index)) scan(n);
             continue;
         }
         const int node = tree.level_first.data[l] + n;
@@ -93,10 +162,8 @@ static constexpr auto search = [](const NearestTree& tree, const NearestQueries&
             to = to < WIDTH - 1 ? to : WIDTH - 1;
         }
         for (int j = from; j <= to; ++j) {
-            const double dx = outside(side[j], side[24 + j], x), dy = outside(side[8 + j], side[32 + j], y),
-                         dz = outside(side[16 + j], side[40 + j], z);
-            const double d = (dx * dx + dy * dy) + dz * dz;
-            if (!before(d, least[j], q.bound, q.bound_index)) continue;
+            const double d = gap_squared(place, side + j);
+            if (!before(d, least[j], bound, bound_index)) continue;
             // The nearest child is pushed last; among equals, the first.
             int at = height++;
             for (; at > base && entry[at - 1] <= d; --at) {
@@ -109,87 +176,262 @@ static constexpr auto search = [](const NearestTree& tree, const NearestQueries&
             level[at] = (signed char)(l - 1);
         }
     }
-};
-
-// A list of LENGTH entries in registers, sorted by (squared distance, index).
-//
-// The loops have constant bounds: unrolled, everything stays in registers. A shorter list begins with entries that
-// precede every candidate, so that the last entry is always the k-th.
-static constexpr auto nearest_short = [](int query, const NearestTree& tree, const NearestQueries& queries) {
-    Query q;
-    if (!read_query(queries, query, q)) return;
-    const int K = LENGTH;
-    double squared[K];
-    int candidate[K];
-    #pragma unroll
-    for (int i = 0; i < K; ++i) {
-        squared[i] = i < K - q.k ? -1.0 : q.limit;
-        candidate[i] = i < K - q.k ? -1 : NONE;
-    }
-    search(tree, queries, q, [&](double given, int index) {
-        // Entries before the new one stay; the new one replaces the first other entry, and the rest move up by one.
-        #pragma unroll
-        for (int i = K - 1; i > 0; --i) {
-            const bool moves = before(given, index, squared[i - 1], candidate[i - 1]);
-            const bool enters = before(given, index, squared[i], candidate[i]);
-            squared[i] = moves ? squared[i - 1] : enters ? given : squared[i];
-            candidate[i] = moves ? candidate[i - 1] : enters ? index : candidate[i];
-        }
-        if (before(given, index, squared[0], candidate[0])) {
-            squared[0] = given;
-            candidate[0] = index;
-        }
-        q.bound = squared[K - 1];
-        q.bound_index = candidate[K - 1];
-    });
     #pragma unroll
     for (int i = 0; i < K; ++i)
-        if (i >= K - q.k) {
-            q.row[i - (K - q.k)] = candidate[i] == NONE ? (double)INFINITY : sqrt(squared[i]);
-            q.indices[i - (K - q.k)] = candidate[i] == NONE ? -1 : candidate[i];
+        if (i >= K - k) {
+            row[i - (K - k)] = candidate[i] == NONE ? (double)INFINITY : sqrt(squared[i]);
+            indices[i - (K - k)] = candidate[i] == NONE ? -1 : candidate[i];
         }
 };
 
-// Puts an entry on top of a heap, the farthest on top, and lets it sink.
-static constexpr auto sift = [](double* row, int* indices, int size, double given, int index) {
-    int at = 0;
-    for (;;) {
-        int child = 2 * at + 1;
-        if (child >= size) break;
-        if (child + 1 < size && before(row[child], indices[child], row[child + 1], indices[child + 1])) ++child;
-        if (!before(given, index, row[child], indices[child])) break;
-        row[at] = row[child];
-        indices[at] = indices[child];
-        at = child;
-    }
-    row[at] = given;
-    indices[at] = index;
+// Bitonic sort of the first entries, a power of two, by (squared distance, index).
+static constexpr auto sort_entries = [](double* squared, int* index, int count, int lane) {
+    for (int length = 2; length <= count; length *= 2)
+        for (int step = length / 2; step > 0; step /= 2) {
+            for (int pair = lane; pair < count / 2; pair += LANES) {
+                const int a = 2 * pair - (pair & (step - 1)), b = a + step;
+                const double da = squared[a], db = squared[b];
+                const int ia = index[a], ib = index[b];
+                if (before(db, ib, da, ia) == ((a & length) == 0)) {
+                    squared[a] = db, squared[b] = da;
+                    index[a] = ib, index[b] = ia;
+                }
+            }
+            wait_for_all();
+        }
 };
 
-// A list of any length, as a heap in the rows of the result.
-static constexpr auto nearest_many = [](int query, const NearestTree& tree, const NearestQueries& queries) {
-    Query q;
-    if (!read_query(queries, query, q)) return;
-    double* const row = q.row;
-    int* const indices = q.indices;
-    for (int i = 0; i < q.k; ++i) {
-        row[i] = q.limit;
-        indices[i] = NONE;
-    }
-    search(tree, queries, q, [&](double given, int index) {
-        sift(row, indices, q.k, given, index);
-        q.bound = row[0];
-        q.bound_index = indices[0];
-    });
-    for (int size = q.k - 1; size > 0; --size) {
-        const double given = row[size];
-        const int index = indices[size];
-        row[size] = row[0];
-        indices[size] = indices[0];
-        sift(row, indices, size, given, index);
-    }
-    for (int i = 0; i < q.k; ++i) {
-        row[i] = indices[i] == NONE ? (double)INFINITY : sqrt(row[i]);
-        if (indices[i] == NONE) indices[i] = -1;
+struct alignas(16) Four {
+    float a, b, c, d;
+};
+// The most entries for which counting those before each beats sorting; long lists have no room for keys.
+static constexpr int COUNTED = ROOM > 256 ? 0 : 192, KEYS = COUNTED ? ROOM : 4;
+
+static constexpr auto nearest_together = [](int item, const NearestTree& tree, const NearestQueries& queries) {
+    const int lane = item % THREADS % LANES, first = item / THREADS * queries.run;
+#if defined(__CUDA_ARCH__)
+    constexpr int TEAMS = 128 / THREADS;
+    __shared__ double shared_squared[TEAMS][ROOM];
+    __shared__ Four shared_key[TEAMS][KEYS / 4];
+    __shared__ int shared_index[TEAMS][ROOM], shared_order[TEAMS][KEYS];
+    __shared__ int shared_stack[TEAMS][STACK], shared_queue[TEAMS][QUEUE];
+    const int team = threadIdx.x / THREADS;
+    double* const squared = shared_squared[team];
+    Four* const keys = shared_key[team];
+    int *const index = shared_index[team], *const order = shared_order[team];
+    int *const stack = shared_stack[team], *const queue = shared_queue[team];
+#else
+    double squared[ROOM];
+    Four keys[KEYS / 4];
+    int index[ROOM], order[KEYS], stack[STACK], queue[QUEUE];
+#endif
+    float* const key = (float*)keys;
+    // Where lists are so long that a block has room for one team, its other threads have nothing to do.
+    if (item % THREADS >= LANES) return;
+    const int k = queries.k, block = first / LEAF;
+    const double* const own = queries.positions.data + (size_t)block * 3 * LEAF;
+    // The leaves of the points that the block is asked about, and the lowest node above them.
+    int leaf_begin = 0, leaf_end = tree.index.shape[0] / LEAF, top = 1;
+    if (queries.leaves.shape[0] > 0)
+        leaf_begin = queries.leaves.data[block][0], leaf_end = queries.leaves.data[block][1];
+    while (leaf_begin < leaf_end && leaf_begin >> 3 * top != (leaf_end - 1) >> 3 * top) ++top;
+    int end = first;
+    Box run;
+    for (; end < first + queries.run && queries.index.data[end] != NONE; ++end)
+        for (int axis = 0; axis < 3; ++axis) {
+            const double value = own[LEAF * axis + end % LEAF];
+            run.lower[axis] = end == first || value < run.lower[axis] ? value : run.lower[axis];
+            run.upper[axis] = end == first || value > run.upper[axis] ? value : run.upper[axis];
+        }
+    // Of the query before: its place, and its k-th point, infinitely far away if there was none. The squared reach of
+    // the leaves in the queue around the box of the run, and whether they have had no room.
+    double last[3], last_far = -1.0, reach = -1.0;
+    int last_index = NONE, waiting = 0;
+    bool crowded = false;
+    for (int query = first; query < end; ++query) {
+        const int owner = queries.index.data[query];
+        const double x = own[query % LEAF], y = own[LEAF + query % LEAF], z = own[2 * LEAF + query % LEAF];
+        const double limit = queries.limit_squared.data[queries.limit_squared.shape[0] > 1 ? owner : 0];
+        const int self = queries.excluded ? owner : -1;
+        const Box place{{x, y, z}, {x, y, z}};
+        double bound = limit, sure = limit;
+        int bound_index = NONE, size = 0;
+        // Sorts what there is and keeps the k nearest, which bound the rest.
+        auto keep_nearest = [&] {
+            int count = 2;
+            while (count < size) count *= 2;
+            for (int i = size + lane; i < count; i += LANES) squared[i] = (double)INFINITY, index[i] = NONE;
+            wait_for_all();
+            sort_entries(squared, index, count, lane);
+            for (int i = lane; i < size && COUNTED; i += LANES) key[i] = (float)squared[i], order[i] = i;
+            if (size >= k) size = k, bound = squared[k - 1], bound_index = index[k - 1];
+            wait_for_all();
+        };
+        // The order of what there is. The place of an entry is the number of those before it: by float32 keys, where no
+        // two are equal.
+        auto rank = [&] {
+            unsigned left = COUNTED < size;
+            if (!left) {
+                for (int i = lane; i < size + 4; i += LANES)
+                    if (i < size) order[i] = NONE;
+                    else key[i] = INFINITY;
+                wait_for_all();
+                for (int i = lane; i < size; i += LANES) {
+                    const float own = key[i];
+                    int place = 0;
+                    for (int j = 0; 4 * j < size; ++j) {
+                        const Four four = keys[j];
+                        place += (four.a < own) + (four.b < own) + (four.c < own) + (four.d < own);
+                    }
+                    order[place] = i;
+                }
+                wait_for_all();
+                for (int i = 0; i < size; i += LANES) left |= votes_of(i + lane < size && order[i + lane] == NONE);
+            }
+            if (left) keep_nearest();
+            else if (size >= k) size = k, bound = squared[order[k - 1]], bound_index = index[order[k - 1]];
+            wait_for_all();
+        };
+        auto scan = [&](int leaf, bool has) {
+            if (size > ROOM - LEAVES * LEAF) keep_nearest();
+            for (int i = lane % LEAF; i < LEAF; i += LANES) {
+                const double* at = tree.positions.data + (size_t)leaf * 3 * LEAF + i;
+                const double dx = at[0] - x, dy = at[LEAF] - y, dz = at[2 * LEAF] - z;
+                const double given = (dx * dx + dy * dy) + dz * dz;
+                const int candidate = tree.index.data[(size_t)leaf * LEAF + i];
+                // The rest of the last leaf is NaN: every comparison with it is false.
+                const bool takes = has && candidate != self && before(given, candidate, bound, bound_index);
+                const int to = place_of(takes, lane, size);
+                if (takes) squared[to] = given, index[to] = candidate;
+                if (takes && COUNTED) key[to] = (float)given;
+            }
+        };
+        // Scans the leaves in the queue that may have points within the bound.
+        auto scan_queue = [&] {
+            for (int begin = 0; begin < waiting; begin += LANES) {
+                const bool has = begin + lane < waiting;
+                const int leaf = queue[has ? begin + lane : begin];
+                const double d =
+                    gap_squared(place, tree.boxes.data + (size_t)(leaf / WIDTH) * 6 * WIDTH + leaf % WIDTH);
+                unsigned votes = votes_of(has && before(d, tree.least.data[leaf], bound, bound_index));
+                while (votes) {
+                    int mine = lowest_bit(votes);
+                    votes &= votes - 1;
+                    const bool both = LEAVES > 1 && votes, second = lane >= LEAF;
+                    if (both && second) mine = lowest_bit(votes);
+                    if (both) votes &= votes - 1;
+                    scan(queue[begin + mine], both || !second);
+                }
+            }
+        };
+        // The leaves within the bound of a box wait in the queue. Where it is full they are scanned, or the walk ends.
+        auto walk = [&](const Box& box, bool scans) {
+            int height = leaf_begin < leaf_end;
+            waiting = 0;
+            if (lane == 0) stack[0] = (leaf_begin >> 3 * top) + LEVEL * top;
+            wait_for_all();
+            while (height > 0) {
+                const int taken = height < NODES ? height : NODES;
+                height -= taken;
+                const bool has = lane / WIDTH < taken;
+                const int node = stack[height + (has ? lane / WIDTH : 0)];
+                const int level = node / LEVEL, n = node % LEVEL, below = 3 * (level - 1);
+                const int slot = tree.level_first.data[level] + n;
+                wait_for_all();
+                // The first child is opened first: of equal points, those with the lowest indices.
+                for (int j = WIDTH - 1 - lane % WIDTH; j >= 0; j -= LANES) {
+                    const double d = gap_squared(box, tree.boxes.data + (size_t)slot * 6 * WIDTH + j);
+                    const int child = WIDTH * n + j;
+                    const bool opens = has && child >= leaf_begin >> below && child <= (leaf_end - 1) >> below
+                                       && before(d, tree.least.data[(size_t)slot * WIDTH + j], bound, bound_index);
+                    const int leaf_to = place_of(opens && level == 1, lane, waiting);
+                    const int to = place_of(opens && level > 1, lane, height);
+                    if (opens && level == 1) queue[leaf_to] = child;
+                    if (opens && level > 1) stack[to] = child + LEVEL * (level - 1);
+                }
+                wait_for_all();
+                if (waiting <= QUEUE - NODES * WIDTH) continue;
+                if (!scans) return false;
+                scan_queue();
+                waiting = 0;
+            }
+            return true;
+        };
+        auto walk_and_scan = [&] {
+            size = 0;
+            walk(place, true);
+            scan_queue();
+            rank();
+            reach = -1.0;
+        };
+        // By the triangle inequality the k-th point is no farther than the last query's k-th and that query together.
+        const double dx = last[0] - x, dy = last[1] - y, dz = last[2] - z;
+        const double gap = (dx * dx + dy * dy) + dz * dz;
+        if (query > first && gap <= last_far) {
+            // Rounding: a few units in the last place, and what underflows.
+            const double most = (sqrt(last_far) + sqrt(gap)) * (1.0 + 1.0e-14);
+            sure = most * most + 1.0e-300;
+            sure = sure < limit ? sure : limit;
+            const double enough = last_far * queries.stretch;
+            bound = enough < sure ? enough : sure;
+            if (reach < bound && reach > last_far * (0.5 + 0.5 * queries.stretch)) bound = reach;
+            if (reach < bound && !crowded) {
+                const double wanted = bound;
+                bound = wanted * MARGIN;
+                crowded = !walk(run, false);
+                reach = crowded ? -1.0 : bound;
+                bound = wanted;
+            }
+            if (gap == 0.0) bound = last_far, bound_index = last_index + 1;
+        } else if (leaf_begin < leaf_end) {
+            // The leaves around the nearest one on the way down.
+            int leaf = block;
+            if (!queries.seeded) {
+                leaf = leaf_begin >> 3 * top;
+                for (int level = top; level > 0; --level) {
+                    const size_t slot = tree.level_first.data[level] + leaf;
+                    int best = 0;
+                    double nearest = (double)INFINITY;
+                    for (int j = 0; j < WIDTH; ++j) {
+                        const double d = gap_squared(place, tree.boxes.data + slot * 6 * WIDTH + j);
+                        if (d < nearest) nearest = d, best = j;
+                    }
+                    leaf = WIDTH * leaf + best;
+                }
+            }
+            const int around = (k + 2 * LEAF - 1) / LEAF;
+            int from = leaf - around / 2;
+            from = from < leaf_end - around ? from : leaf_end - around;
+            from = from > leaf_begin ? from : leaf_begin;
+            for (int l = from; l < from + around && l < leaf_end; l += LEAVES) {
+                const int mine = l + lane / LEAF;
+                const bool has = mine < from + around && mine < leaf_end;
+                scan(has ? mine : l, has);
+            }
+            rank();
+            sure = bound;
+            bound_index += size == k;
+        }
+        if (bound <= reach) {
+            size = 0;
+            scan_queue();
+            rank();
+        } else {
+            walk_and_scan();
+        }
+        while (size < k && (bound < limit || bound_index < NONE)) {
+            bound = bound < sure ? sure : limit, bound_index = NONE;
+            walk_and_scan();
+        }
+        last[0] = x, last[1] = y, last[2] = z;
+        last_far = size == k ? bound : (double)INFINITY, last_index = bound_index;
+        double* const row = queries.distance.data + (size_t)owner * k;
+        int* const indices = queries.indices.data + (size_t)owner * k;
+        for (int i = lane; i < k; i += LANES) {
+            const int from = i < size && COUNTED ? order[i] : i;
+            row[i] = i < size ? sqrt(squared[from]) : (double)INFINITY;
+            indices[i] = i < size ? index[from] : -1;
+        }
+        wait_for_all();
     }
 };

@@ -134,7 +134,7 @@ def blocks_in_order(
     index = wp.empty(blocks * leaf, dtype=wp.int32, device=device)
     of_groups = wp.array([] if spans is None else spans, dtype=wp.vec2i, device=device)
     given = [points, order, of_groups]
-    launcher.launch(kernels.block_kernel, blocks, given, [positions, index], device, grain=BLOCK_GRAIN)
+    launcher.launch(kernels.block_kernel, len(index), given, [positions, index], device)
     return positions, index
 
 
