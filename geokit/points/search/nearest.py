@@ -121,10 +121,8 @@ def nearest(
         is_block = device.is_cpu and count <= int(tree_kernels.LEAF)
         order = launcher.identity(device) if is_block else curve_order(queries, frame_of(queries), device)[1]
         out.positions, out.index = blocks_in_order(queries, order, device)
-    if isinstance(limit_squared, wp.array):
-        out.limit_squared = limit_squared
-    else:
-        out.limit_squared = wp.array([limit_squared], dtype=wp.float64, device=device)
+    is_each = isinstance(limit_squared, wp.array)
+    out.limit_squared = limit_squared if is_each else wp.array([limit_squared], dtype=wp.float64, device=device)
     kernel, items, out.run = _search_kernel(k, count, device)
     out.stretch = 1.0 + STRETCH / math.sqrt(k)
     launcher.launch(kernel, items, [tree], [out], device, grain=GROUP_GRAIN)

@@ -5,10 +5,20 @@
 // when there is no room for more. The bound of a query comes from the one before, so most candidates are among the
 // nearest, and the order in which nodes are visited does not matter: the tree is walked once for the run, and each query
 // looks at the leaves that were found. On a CPU, where tests run this, a team has one thread.
+
+// The threads of a team, the nodes and leaves that it looks at together, and the bits of those for which something holds.
 #if defined(__CUDA_ARCH__)
 static constexpr int LANES = 32, NODES = LANES / WIDTH, LEAVES = LANES / LEAF;
+static constexpr auto wait_for_all = [] { __syncwarp(); };
+static constexpr auto votes_of = [](bool holds) -> unsigned { return __ballot_sync(0xffffffffu, holds); };
+static constexpr auto bits_of = [](unsigned votes) -> int { return __popc(votes); };
+static constexpr auto lowest_bit = [](unsigned votes) -> int { return __ffs(votes) - 1; };
 #else
 static constexpr int LANES = 1, NODES = 1, LEAVES = 1;
+static constexpr auto wait_for_all = [] {};
+static constexpr auto votes_of = [](bool holds) -> unsigned { return holds; };
+static constexpr auto bits_of = [](unsigned votes) -> int { return __builtin_popcount(votes); };
+static constexpr auto lowest_bit = [](unsigned votes) -> int { return __builtin_ctz(votes); };
 #endif
 // Nodes that wait: of each of nine levels at most the children of those that are opened together. Leaves that wait.
 static constexpr int STACK = 9 * NODES * WIDTH, QUEUE = 128;
@@ -17,37 +27,6 @@ static constexpr int LEVEL = 1 << 25;
 
 // Whether the squared distance a of point i comes before b of point j.
 static constexpr auto before = [](double a, int i, double b, int j) -> bool { return a < b || (a == b && i < j); };
-
-static constexpr auto wait_for_all = [] {
-#if defined(__CUDA_ARCH__)
-    __syncwarp();
-#endif
-};
-
-// The bits of the lanes for which something holds.
-static constexpr auto votes_of = [](bool holds) -> unsigned {
-#if defined(__CUDA_ARCH__)
-    return __ballot_sync(0xffffffffu, holds);
-#else
-    return holds;
-#endif
-};
-
-static constexpr auto bits_of = [](unsigned votes) -> int {
-#if defined(__CUDA_ARCH__)
-    return __popc(votes);
-#else
-    return __builtin_popcount(votes);
-#endif
-};
-
-static constexpr auto lowest_bit = [](unsigned votes) -> int {
-#if defined(__CUDA_ARCH__)
-    return __ffs(votes) - 1;
-#else
-    return __builtin_ctz(votes);
-#endif
-};
 
 // The place of a lane's entry among those of all lanes that have one; `count` grows by their number.
 static constexpr auto place_of = [](bool has, int lane, int& count) -> int {
@@ -70,6 +49,24 @@ static constexpr auto gap_squared = [](const Box& box, const double* side) -> do
         squared[axis] = most > 0.0 ? most * most : 0.0;
     }
     return (squared[0] + squared[1]) + squared[2];
+};
+
+// The leaves that a block of queries is asked about, and the level of the lowest node above them.
+struct Span {
+    int begin, end, top;
+};
+
+static constexpr auto span_of = [](const NearestTree& tree, const NearestQueries& queries, int block) -> Span {
+    Span span{0, tree.index.shape[0] / LEAF, 1};
+    if (queries.leaves.shape[0] > 0)
+        span.begin = queries.leaves.data[block][0], span.end = queries.leaves.data[block][1];
+    while (span.begin < span.end && span.begin >> 3 * span.top != (span.end - 1) >> 3 * span.top) ++span.top;
+    return span;
+};
+
+// Whether a node has such leaves below it.
+static constexpr auto is_above = [](const Span& span, int node, int level) -> bool {
+    return node >= span.begin >> 3 * level && node <= (span.end - 1) >> 3 * level;
 };
 
 // A list of LENGTH entries in registers, sorted by (squared distance, index).
@@ -105,12 +102,8 @@ static constexpr auto nearest_alone = [](int query, const NearestTree& tree, con
             squared[i] = moves ? squared[i - 1] : enters ? given : squared[i];
             candidate[i] = moves ? candidate[i - 1] : enters ? index : candidate[i];
         }
-        if (before(given, index, squared[0], candidate[0])) {
-            squared[0] = given;
-            candidate[0] = index;
-        }
-        bound = squared[K - 1];
-        bound_index = candidate[K - 1];
+        if (before(given, index, squared[0], candidate[0])) squared[0] = given, candidate[0] = index;
+        bound = squared[K - 1], bound_index = candidate[K - 1];
     };
     auto scan = [&](int leaf) {
         const double* at = tree.positions.data + (size_t)leaf * 3 * LEAF;
@@ -124,24 +117,11 @@ static constexpr auto nearest_alone = [](int query, const NearestTree& tree, con
         }
     };
     if (seed >= 0) scan(seed);
-    int stack[9 * WIDTH], height = 1;
+    const Span span = span_of(tree, queries, block);
+    int stack[9 * WIDTH], height = span.begin < span.end;
     signed char level[9 * WIDTH];
     double entry[9 * WIDTH];
-    stack[0] = 0;
-    level[0] = (signed char)tree.top;
-    entry[0] = 0.0;
-    const bool part = queries.leaves.shape[0] > 0;
-    int first_leaf = 0, leaf_end = 0;
-    if (part) {
-        // The lowest node above all leaves of the group.
-        first_leaf = queries.leaves.data[block][0];
-        leaf_end = queries.leaves.data[block][1];
-        int l = 1;
-        while (first_leaf < leaf_end && first_leaf >> 3 * l != (leaf_end - 1) >> 3 * l) ++l;
-        stack[0] = first_leaf >> 3 * l;
-        level[0] = (signed char)l;
-        if (first_leaf == leaf_end) height = 0;
-    }
+    stack[0] = span.begin >> 3 * span.top, level[0] = (signed char)span.top, entry[0] = 0.0;
     while (height > 0) {
         --height;
         if (entry[height] > bound) continue;
@@ -154,26 +134,14 @@ static constexpr auto nearest_alone = [](int query, const NearestTree& tree, con
         const double* side = tree.boxes.data + (size_t)node * 6 * WIDTH;
         const int* least = tree.least.data + (size_t)node * WIDTH;
         const int base = height;
-        int from = 0, to = WIDTH - 1;
-        if (part) {
-            from = (first_leaf >> 3 * (l - 1)) - WIDTH * n;
-            to = ((leaf_end - 1) >> 3 * (l - 1)) - WIDTH * n;
-            from = from > 0 ? from : 0;
-            to = to < WIDTH - 1 ? to : WIDTH - 1;
-        }
-        for (int j = from; j <= to; ++j) {
+        for (int j = 0; j < WIDTH; ++j) {
             const double d = gap_squared(place, side + j);
-            if (!before(d, least[j], bound, bound_index)) continue;
+            if (!is_above(span, WIDTH * n + j, l - 1) || !before(d, least[j], bound, bound_index)) continue;
             // The nearest child is pushed last; among equals, the first.
             int at = height++;
-            for (; at > base && entry[at - 1] <= d; --at) {
-                entry[at] = entry[at - 1];
-                stack[at] = stack[at - 1];
-                level[at] = level[at - 1];
-            }
-            entry[at] = d;
-            stack[at] = WIDTH * n + j;
-            level[at] = (signed char)(l - 1);
+            for (; at > base && entry[at - 1] <= d; --at)
+                stack[at] = stack[at - 1], level[at] = level[at - 1], entry[at] = entry[at - 1];
+            stack[at] = WIDTH * n + j, level[at] = (signed char)(l - 1), entry[at] = d;
         }
     }
     #pragma unroll
@@ -192,10 +160,8 @@ static constexpr auto sort_entries = [](double* squared, int* index, int count, 
                 const int a = 2 * pair - (pair & (step - 1)), b = a + step;
                 const double da = squared[a], db = squared[b];
                 const int ia = index[a], ib = index[b];
-                if (before(db, ib, da, ia) == ((a & length) == 0)) {
-                    squared[a] = db, squared[b] = da;
-                    index[a] = ib, index[b] = ia;
-                }
+                if (before(db, ib, da, ia) == ((a & length) == 0))
+                    squared[a] = db, squared[b] = da, index[a] = ib, index[b] = ia;
             }
             wait_for_all();
         }
@@ -230,11 +196,7 @@ static constexpr auto nearest_together = [](int item, const NearestTree& tree, c
     if (item % THREADS >= LANES) return;
     const int k = queries.k, block = first / LEAF;
     const double* const own = queries.positions.data + (size_t)block * 3 * LEAF;
-    // The leaves of the points that the block is asked about, and the lowest node above them.
-    int leaf_begin = 0, leaf_end = tree.index.shape[0] / LEAF, top = 1;
-    if (queries.leaves.shape[0] > 0)
-        leaf_begin = queries.leaves.data[block][0], leaf_end = queries.leaves.data[block][1];
-    while (leaf_begin < leaf_end && leaf_begin >> 3 * top != (leaf_end - 1) >> 3 * top) ++top;
+    const Span span = span_of(tree, queries, block);
     int end = first;
     Box run;
     for (; end < first + queries.run && queries.index.data[end] != NONE; ++end)
@@ -326,23 +288,23 @@ static constexpr auto nearest_together = [](int item, const NearestTree& tree, c
         };
         // The leaves within the bound of a box wait in the queue. Where it is full they are scanned, or the walk ends.
         auto walk = [&](const Box& box, bool scans) {
-            int height = leaf_begin < leaf_end;
+            int height = span.begin < span.end;
             waiting = 0;
-            if (lane == 0) stack[0] = (leaf_begin >> 3 * top) + LEVEL * top;
+            if (lane == 0) stack[0] = (span.begin >> 3 * span.top) + LEVEL * span.top;
             wait_for_all();
             while (height > 0) {
                 const int taken = height < NODES ? height : NODES;
                 height -= taken;
                 const bool has = lane / WIDTH < taken;
                 const int node = stack[height + (has ? lane / WIDTH : 0)];
-                const int level = node / LEVEL, n = node % LEVEL, below = 3 * (level - 1);
+                const int level = node / LEVEL, n = node % LEVEL;
                 const int slot = tree.level_first.data[level] + n;
                 wait_for_all();
                 // The first child is opened first: of equal points, those with the lowest indices.
                 for (int j = WIDTH - 1 - lane % WIDTH; j >= 0; j -= LANES) {
                     const double d = gap_squared(box, tree.boxes.data + (size_t)slot * 6 * WIDTH + j);
                     const int child = WIDTH * n + j;
-                    const bool opens = has && child >= leaf_begin >> below && child <= (leaf_end - 1) >> below
+                    const bool opens = has && is_above(span, child, level - 1)
                                        && before(d, tree.least.data[(size_t)slot * WIDTH + j], bound, bound_index);
                     const int leaf_to = place_of(opens && level == 1, lane, waiting);
                     const int to = place_of(opens && level > 1, lane, height);
@@ -357,12 +319,11 @@ static constexpr auto nearest_together = [](int item, const NearestTree& tree, c
             }
             return true;
         };
-        auto walk_and_scan = [&] {
+        auto find = [&](bool walks) {
             size = 0;
-            walk(place, true);
+            if (walks) walk(place, true), reach = -1.0;
             scan_queue();
             rank();
-            reach = -1.0;
         };
         // By the triangle inequality the k-th point is no farther than the last query's k-th and that query together.
         const double dx = last[0] - x, dy = last[1] - y, dz = last[2] - z;
@@ -383,12 +344,12 @@ static constexpr auto nearest_together = [](int item, const NearestTree& tree, c
                 bound = wanted;
             }
             if (gap == 0.0) bound = last_far, bound_index = last_index + 1;
-        } else if (leaf_begin < leaf_end) {
+        } else if (span.begin < span.end) {
             // The leaves around the nearest one on the way down.
             int leaf = block;
             if (!queries.seeded) {
-                leaf = leaf_begin >> 3 * top;
-                for (int level = top; level > 0; --level) {
+                leaf = span.begin >> 3 * span.top;
+                for (int level = span.top; level > 0; --level) {
                     const size_t slot = tree.level_first.data[level] + leaf;
                     int best = 0;
                     double nearest = (double)INFINITY;
@@ -401,27 +362,21 @@ static constexpr auto nearest_together = [](int item, const NearestTree& tree, c
             }
             const int around = (k + 2 * LEAF - 1) / LEAF;
             int from = leaf - around / 2;
-            from = from < leaf_end - around ? from : leaf_end - around;
-            from = from > leaf_begin ? from : leaf_begin;
-            for (int l = from; l < from + around && l < leaf_end; l += LEAVES) {
+            from = from < span.end - around ? from : span.end - around;
+            from = from > span.begin ? from : span.begin;
+            for (int l = from; l < from + around && l < span.end; l += LEAVES) {
                 const int mine = l + lane / LEAF;
-                const bool has = mine < from + around && mine < leaf_end;
+                const bool has = mine < from + around && mine < span.end;
                 scan(has ? mine : l, has);
             }
             rank();
             sure = bound;
             bound_index += size == k;
         }
-        if (bound <= reach) {
-            size = 0;
-            scan_queue();
-            rank();
-        } else {
-            walk_and_scan();
-        }
+        find(bound > reach);
         while (size < k && (bound < limit || bound_index < NONE)) {
             bound = bound < sure ? sure : limit, bound_index = NONE;
-            walk_and_scan();
+            find(true);
         }
         last[0] = x, last[1] = y, last[2] = z;
         last_far = size == k ? bound : (double)INFINITY, last_index = bound_index;
