@@ -257,11 +257,10 @@ static constexpr auto next_group = [](const SurfaceTree& tree, const Hull& hull,
                                       auto&& finish) OUT_OF_LINE {
     set_up(tree, hull, origins, directions, t_min, max_distance, out_bad, group, first, count);
     for (unsigned passed = ~group.waiting & (0xffu >> (8 - count)); passed; passed &= passed - 1) {
-        Found r;
+        Found r{};
         const int lane = __builtin_ctz(passed);
         r.id = first + lane;
         r.winner = ANY_HIT && (group.sure >> lane & 1) ? 0 : -1;  // any slot, where a hit is sure
-        r.count = 0;
         finish(r);
     }
 };
