@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from geokit.core import kernel_cache
-from geokit.core.launches import launch_cache, replay, warp_private
+from geokit.core.launches import prepared, warp_private
 from geokit.core.memory import needs
 from geokit.core.memory.unchecked import sort_pairs
 from geokit.core.require import described
@@ -298,22 +298,23 @@ def launch(
     load_module(kernel.module, device)
     if device.is_cuda:
         _require_cuda()
-        replay.refuse()
-        launch_cache.run(kernel, count, [0, *inputs, *outputs], device, BLOCK_DIM)
+        prepared.refuse()
+        prepared.bound(kernel, count, [0, *inputs, *outputs], device, BLOCK_DIM)()
         return
     # Warp runs a CPU launch on one thread and releases the GIL, so slices can run side by side.
     threads = thread_count()
     size = max(grain or MINIMUM_SLICE, -(-count // (threads * SLICES_PER_THREAD)))
     if threads == 1 or count <= size:
         arguments = [0, *inputs, *outputs]
-        if recorder := replay.current():
-            recorder.launch(kernel, count, arguments, outputs, device)
-        launch_cache.run(kernel, count, arguments, device, 1)
+        call = prepared.bound(kernel, count, arguments, device, 1)
+        if recording := prepared.current():
+            recording.launch(call, arguments, outputs, device)
+        call()
         return
-    replay.refuse()
+    prepared.refuse()
 
     def run_slice(first: int) -> None:
-        launch_cache.run(kernel, min(size, count - first), [first, *inputs, *outputs], device, 1)
+        prepared.bound(kernel, min(size, count - first), [first, *inputs, *outputs], device, 1)()
 
     _pool(threads).run(run_slice, range(0, count, size), min(threads, -(-count // size)))
 

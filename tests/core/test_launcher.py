@@ -12,7 +12,7 @@ import warp as wp
 import geokit as gk
 from geokit.core import launcher
 from geokit.core.blocks.several_devices import devices_of
-from geokit.core.launches import launch_cache
+from geokit.core.launches import prepared
 
 COUNT = 5000
 
@@ -144,13 +144,13 @@ def test_every_item_is_visited_once(threads, count, cpu, monkeypatch):
 def slices(monkeypatch):
     """The (first, count, thread) of each slice that is launched."""
     seen = []
-    run = launch_cache.run
+    run = prepared.bound
 
     def spy(kernel, count, arguments, *rest):
         seen.append((arguments[0], count, threading.current_thread().name))
-        run(kernel, count, arguments, *rest)
+        return run(kernel, count, arguments, *rest)
 
-    monkeypatch.setattr(launch_cache, "run", spy)
+    monkeypatch.setattr(prepared, "bound", spy)
     return seen
 
 

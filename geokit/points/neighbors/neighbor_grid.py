@@ -26,7 +26,7 @@ from geokit.core.interop.user_arrays import (
     require_finite,
     require_finite_scalar,
 )
-from geokit.core.launches import replay
+from geokit.core.launches import prepared
 from geokit.core.memory import available_memory
 from geokit.core.memory.needs import needs, rows
 from geokit.core.memory.unchecked import allocating
@@ -827,7 +827,7 @@ class NeighborGrid:
         """Take the points (N,) and their images within ``reach`` of the cell for the points that are searched."""
         # If there is no room for them, the grid is as it was.
         images = Images(points, cell, reach)
-        replay.refuse()
+        prepared.refuse()
         self._cache.clear()
         self._own = self._other = None
         self._made_images, self._rows = images, images.points
@@ -970,7 +970,7 @@ class NeighborGrid:
                 if least <= radius <= RADIUS_RATIO * cells.radius:
                     return cells
             # Release the old cells first: both may not fit in memory at once.
-            replay.refuse()
+            prepared.refuse()
             self._cache.clear()
             self._other = None
             self._other = self._built(self._points(), radius)

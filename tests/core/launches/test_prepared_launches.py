@@ -12,7 +12,6 @@ import pytest
 import warp as wp
 
 from geokit.core import launcher
-from geokit.core.launches import launch_cache
 from geokit.core.memory.host_array import HostArray
 from tests.support.devices import DEVICES
 
@@ -163,4 +162,3 @@ def test_threads_have_launches_of_their_own():
     for thread in threads:
         thread.join()
     assert not wrong
-    assert 1 <= len(launch_cache._idle[(mixed_kernel, "cpu")]) <= 8
