@@ -11,7 +11,7 @@ from geokit.core import launcher
 from geokit.core.interop.types import Array
 from geokit.core.memory import available_memory
 from geokit.core.require import described, whole_number
-from geokit.errors import DeviceMemoryError, InputError
+from geokit.errors import InputError
 from geokit.points.search.nearest_tree import (
     blocks_in_order,
     build_tree,
@@ -93,7 +93,8 @@ def nearest(
 
     device = tree.positions.device
     count = tree.count if queries is None else len(queries)
-    _require_room(count, k, device)
+    what, remedy = f"knn: the {k} nearest points of {count} queries need", "use a smaller k or fewer queries at a time"
+    available_memory.require_room(count * k * BYTES_PER_NEIGHBOR, what, remedy, device)
     out = tree_kernels.NearestQueries()
     out.count, out.k, out.seeded, out.excluded = count, k, int(queries is None), int(exclude_self)
     out.distance = wp.empty((count, k), dtype=wp.float64, device=device)
@@ -136,13 +137,3 @@ def _search_kernel(k: int, count: int, device: Any) -> tuple[Any, int]:
 
     table = ((8, threads.nearest_8_kernel), (16, threads.nearest_16_kernel), (32, threads.nearest_32_kernel))
     return next((kernel for longest, kernel in table if k <= longest), threads.nearest_many_kernel), count
-
-
-def _require_room(count: int, k: int, device: Any) -> None:
-    needed, free = count * k * BYTES_PER_NEIGHBOR, available_memory.available(device)
-    if needed > free:
-        raise DeviceMemoryError(
-            f"knn: the {k} nearest points of {count} queries need {needed / 2**30:.3g} GiB of {free / 2**30:.3g} GiB "
-            f"free on {device.alias}; use a smaller k or fewer queries at a time",
-            need=needed,
-        )
