@@ -328,7 +328,6 @@ def launch_queries(
     *,
     lower: Any,
     extent: float,
-    streams: Sequence["wp.array"] = (),
     group: int = 0,
     flags: Sequence[Any] = (),
 ) -> None:
@@ -337,8 +336,8 @@ def launch_queries(
     Answers do not depend on the order; it only decides which queries share the caches.
 
     Args:
-        kernel: ``(first: int, order, points, *streams, *inputs, *outputs)``; its query is ``order[first + wp.tid()]``.
-            Where ``group`` is not 0 it is ``(first: int, group: int, order, points, *streams, *inputs, *outputs)``; its
+        kernel: ``(first: int, order, points, *inputs, *outputs)``; its query is ``order[first + wp.tid()]``.
+            Where ``group`` is not 0 it is ``(first: int, group: int, order, points, *inputs, *outputs)``; its
             queries are ``order[k]`` for the ``group`` values of ``k`` from ``group * (first + wp.tid())`` on.
         points: Positions (N,) of vec3d that decide the order [world].
         inputs: Arguments that all queries share.
@@ -346,17 +345,15 @@ def launch_queries(
         device: The device of the arrays.
         lower: Lower corner [world] of the box that the Morton keys resolve, three numbers; points outside are clamped.
         extent: Edge length [world] of that box.
-        streams: Further input arrays with one row per point.
         group: Queries that one thread answers in sequence, each starting from its neighbor's answer; 0 for one each.
         flags: Further outputs, after the others, that all queries share.
     """
     total = len(points)
     for start in range(0, total, BLOCK):
         stop = min(total, start + BLOCK)
-        block, *rows = (a if stop - start == total else a[start:stop] for a in (points, *streams, *outputs))
+        block, *rows = (a if stop - start == total else a[start:stop] for a in (points, *outputs))
         order = morton_order(block, lower, extent, device)
-        arguments = [order, block, *rows[: len(streams)], *inputs]
-        results = [*rows[len(streams) :], *flags]
+        arguments, results = [order, block, *inputs], [*rows, *flags]
         if group:
             groups = -(-len(block) // group)
             launch(kernel, groups, [group, *arguments], results, device, grain=GROUP_GRAIN)

@@ -29,13 +29,12 @@ def ask_kernel(
     first: int,
     order: wp.array(dtype=int),
     points: wp.array(dtype=wp.vec3d),
-    weight: wp.array(dtype=wp.float64),
     shared: wp.float64,
     out_value: wp.array(dtype=wp.float64),
     out_rank: wp.array(dtype=int),
 ):
     i = order[first + wp.tid()]
-    out_value[i] = (points[i][0] + wp.float64(10.0) * points[i][1]) * weight[i] + shared
+    out_value[i] = points[i][0] + wp.float64(10.0) * points[i][1] + shared
     out_rank[i] = first + wp.tid()
 
 
@@ -45,7 +44,6 @@ def ask_group_kernel(
     group: int,
     order: wp.array(dtype=int),
     points: wp.array(dtype=wp.vec3d),
-    weight: wp.array(dtype=wp.float64),
     shared: wp.float64,
     out_value: wp.array(dtype=wp.float64),
     out_rank: wp.array(dtype=int),
@@ -53,7 +51,7 @@ def ask_group_kernel(
     begin = (first + wp.tid()) * group
     for k in range(begin, wp.min(begin + group, points.shape[0])):
         i = order[k]
-        out_value[i] = (points[i][0] + wp.float64(10.0) * points[i][1]) * weight[i] + shared
+        out_value[i] = points[i][0] + wp.float64(10.0) * points[i][1] + shared
         out_rank[i] = k
 
 
@@ -64,7 +62,6 @@ def cpu():
 
 def ask(points, cpu, *, lower=(0.0, 0.0, 0.0), extent=1.0, group=0):
     count = len(points)
-    weight = np.linspace(1.0, 2.0, count)
     value = wp.full(count, -1.0, dtype=wp.float64, device=cpu)
     rank = wp.full(count, -1, dtype=int, device=cpu)
     launcher.launch_queries(
@@ -76,9 +73,8 @@ def ask(points, cpu, *, lower=(0.0, 0.0, 0.0), extent=1.0, group=0):
         lower=lower,
         extent=extent,
         group=group,
-        streams=[wp.array(weight, dtype=wp.float64, device=cpu)],
     )
-    np.testing.assert_array_equal(value.numpy(), (points[:, 0] + 10.0 * points[:, 1]) * weight + 0.25)
+    np.testing.assert_array_equal(value.numpy(), points[:, 0] + 10.0 * points[:, 1] + 0.25)
     return rank.numpy()
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -47,15 +48,23 @@ def available(device: "wp.Device") -> int:
     return available_host() if device.is_cpu else int(device.free_memory) + _idle_in_pool(device)
 
 
-def require_room(need: float, what: str, remedy: str, device: "wp.Device | None" = None) -> None:
+def require_room(
+    need: float, what: str, remedy: str | Callable[[float], str], device: "wp.Device | None" = None
+) -> None:
     """Check that ``need`` bytes are free on a device, or on the host.
 
+    Args:
+        need: Estimate [bytes].
+        what: What needs them, with its verb.
+        remedy: What to do instead; or a function that says so, of how many times the free memory is needed.
+        device: None for the host.
     Raises:
-        DeviceMemoryError: They are not; the message is ``what`` with its verb, both numbers, and ``remedy``.
+        DeviceMemoryError: They are not free; the message says how many are.
     """
     have = available_host() if device is None else available(device)
     if need > have:
         where = "" if device is None else f" on {device.alias}"
+        remedy = remedy if isinstance(remedy, str) else remedy(need / max(have, 1))
         raise DeviceMemoryError(
             f"{what} about {need / 2**20:.6g} MiB, of {have >> 20} MiB free{where}; {remedy}", need=need
         )
