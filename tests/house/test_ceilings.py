@@ -23,8 +23,8 @@ from tests.house.test_rooms import FORWARDING, PACKAGE, edges
 # to verbs. Annotations of public names with Any.
 MOST_FILES = 26
 CEILINGS = {
-    "lines": 116500,
-    "files in mesh/bvh": 32,
+    "lines": 116300,
+    "files in mesh/bvh": 31,
     "files in mesh/queries": 31,
     "files in native/src": 42,
     "files in points/search": 30,
