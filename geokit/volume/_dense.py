@@ -152,9 +152,7 @@ def from_dense(
     last = start + np.array(dense.shape[:3])
     if (start < INT32.min).any() or (last - 1 > INT32.max).any():
         raise InputError(f"origin: {start.tolist()} puts voxels beyond int32; use a smaller one")
-    tolerance = user_arrays.require_finite_scalar(tolerance, "tolerance")
-    if tolerance < 0.0:
-        raise InputError(f"tolerance: {tolerance} is negative; use 0 or more")
+    tolerance = user_arrays.require_finite_scalar(tolerance, "tolerance", low=user_arrays.FROM_ZERO)
     if layout.name == "float":
         with np.errstate(over="ignore"):
             background = float(np.float32(user_arrays.require_finite_scalar(background, "background")))

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     import warp as wp
 
 __all__ = [
+    "FROM_ZERO",
     "LARGEST_MEASURED",
     "Batch",
     "empty",
@@ -280,6 +281,10 @@ def mapped(results: HostArray, convert: Callable[[np.ndarray], np.ndarray]) -> H
     return made
 
 
+# The bound below 0 that lets 0 pass.
+FROM_ZERO = -math.ulp(0.0)
+
+
 def require_finite_scalar(value: Any, name: str, *, low: float = -np.inf, infinite: bool = False) -> float:
     """Return ``value`` as a float; it must be a number above ``low``, and finite unless ``infinite``.
 
@@ -287,7 +292,7 @@ def require_finite_scalar(value: Any, name: str, *, low: float = -np.inf, infini
         InputError: ``value`` is not such a number.
     """
     number = require_number(value, name)
-    # Threads of jax take denormal numbers for 0, such as the bound below 0 that lets 0 pass.
+    # Threads of jax take denormal numbers, such as FROM_ZERO, for 0.
     from_zero = low > -1e-300 and math.copysign(1.0, low) < 0.0
     is_above = number > low or (number == 0.0 and from_zero)
     if math.isnan(number) or not is_above or (math.isinf(number) and not infinite):

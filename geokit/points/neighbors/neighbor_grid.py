@@ -18,6 +18,7 @@ from geokit.core.gradients.rules import hold, split
 from geokit.core.interop.arrays import reinterpreted
 from geokit.core.interop.types import Array, Devices, Rows
 from geokit.core.interop.user_arrays import (
+    FROM_ZERO,
     LARGEST_MEASURED,
     Batch,
     narrowed,
@@ -1024,10 +1025,7 @@ class NeighborGrid:
 
 
 def _require_radius(radius: Any) -> float:
-    value = require_finite_scalar(radius, "radius")
-    if value < 0.0:
-        raise InputError(f"radius: {value:g} is negative; give 0 or more")
-    return value
+    return require_finite_scalar(radius, "radius", low=FROM_ZERO)
 
 
 def _require_skin(skin: Any, radius: float | None) -> float:
