@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from geokit.core.equal_rows import repeated_triples
 from geokit.core.frame import Frame
 from geokit.core.interop.types import MeshLike
-from geokit.core.interop.user_arrays import require_finite_scalar
+from geokit.core.interop.user_arrays import FROM_ZERO, require_finite_scalar
 from geokit.core.memory.needs import needs
 from geokit.mesh._repair import orient
 from geokit.mesh.attributes.derived import derived, with_data
@@ -82,7 +82,7 @@ def fill_holes(mesh: MeshLike, *, max_width: float = math.inf) -> FilledHoles:
         (1.0, 1, array([1.414]))
     """
     given, flipped, _ = orient(require_mesh(mesh, "mesh"))
-    max_width = require_finite_scalar(max_width, "max_width", low=-math.ulp(0.0), infinite=True)
+    max_width = require_finite_scalar(max_width, "max_width", low=FROM_ZERO, infinite=True)
     _, _, collapsed, topology = mesh_topology(given)
     rims = find_rims(topology)
     face = np.flatnonzero(~collapsed)[rims.half_edges // 3]

@@ -12,7 +12,7 @@ from geokit.core import launcher
 from geokit.core.interop.types import Array
 from geokit.core.memory import available_memory
 from geokit.core.require import described, whole_number
-from geokit.errors import DeviceMemoryError, InputError
+from geokit.errors import InputError
 from geokit.points.search.nearest_tree import (
     blocks_in_order,
     build_tree,
@@ -34,7 +34,7 @@ GROUP_GRAIN = 8
 # Fewest teams that answer more than one query each: as many as a GPU runs at once.
 LEAST_TEAMS = 8192
 # How much farther than a query's k-th point that of the next one may be, relative to what chance gives.
-STRETCH = 2.5
+STRETCH = 1.7
 # Bytes of an entry: int32 index and float64 distance.
 BYTES_PER_NEIGHBOR = 12
 
@@ -98,7 +98,8 @@ def nearest(
 
     device = tree.positions.device
     count = tree.count if queries is None else len(queries)
-    _require_room(count, k, device)
+    what, remedy = f"knn: the {k} nearest points of {count} queries need", "use a smaller k or fewer queries at a time"
+    available_memory.require_room(count * k * BYTES_PER_NEIGHBOR, what, remedy, device)
     out = tree_kernels.NearestQueries()
     out.count, out.k, out.seeded, out.excluded = count, k, int(queries is None), int(exclude_self)
     out.distance = wp.empty((count, k), dtype=wp.float64, device=device)
@@ -145,13 +146,3 @@ def _search_kernel(k: int, count: int, device: Any) -> tuple[Any, int, int]:
     table = (32, cuda.nearest_32_kernel, 32), (128, cuda.nearest_128_kernel, 32), (MAX_K, cuda.nearest_1024_kernel, 128)
     kernel, threads = next((kernel, threads) for longest, kernel, threads in table if k <= longest)
     return kernel, -(-count // run) * threads, run
-
-
-def _require_room(count: int, k: int, device: Any) -> None:
-    needed, free = count * k * BYTES_PER_NEIGHBOR, available_memory.available(device)
-    if needed > free:
-        raise DeviceMemoryError(
-            f"knn: the {k} nearest points of {count} queries need {needed / 2**30:.3g} GiB of {free / 2**30:.3g} GiB "
-            f"free on {device.alias}; use a smaller k or fewer queries at a time",
-            need=needed,
-        )

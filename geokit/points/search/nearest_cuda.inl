@@ -3,8 +3,7 @@
 //
 // A team collects the points within a bound in shared memory; it sorts them by (squared distance, index) at the end, and
 // when there is no room for more. The bound of a query comes from the one before, so most candidates are among the
-// nearest, and the order in which nodes are visited does not matter: the tree is walked once for the run, and each query
-// looks at the leaves that were found. On a CPU, where tests run this, a team has one thread.
+// nearest, and the order in which nodes are visited does not matter. On a CPU, where tests run this, a team has one thread.
 
 // The threads of a team, the nodes and leaves that it looks at together, and the bits of those for which something holds.
 #if defined(__CUDA_ARCH__)
@@ -12,16 +11,14 @@ static constexpr int LANES = 32, NODES = LANES / WIDTH, LEAVES = LANES / LEAF;
 static constexpr auto wait_for_all = [] { __syncwarp(); };
 static constexpr auto votes_of = [](bool holds) -> unsigned { return __ballot_sync(0xffffffffu, holds); };
 static constexpr auto bits_of = [](unsigned votes) -> int { return __popc(votes); };
-static constexpr auto lowest_bit = [](unsigned votes) -> int { return __ffs(votes) - 1; };
 #else
 static constexpr int LANES = 1, NODES = 1, LEAVES = 1;
 static constexpr auto wait_for_all = [] {};
 static constexpr auto votes_of = [](bool holds) -> unsigned { return holds; };
 static constexpr auto bits_of = [](unsigned votes) -> int { return __builtin_popcount(votes); };
-static constexpr auto lowest_bit = [](unsigned votes) -> int { return __builtin_ctz(votes); };
 #endif
 // Nodes that wait: of each of nine levels at most the children of those that are opened together. Leaves that wait.
-static constexpr int STACK = 9 * NODES * WIDTH, QUEUE = 128;
+static constexpr int STACK = 9 * NODES * WIDTH, QUEUE = LEAVES + NODES * WIDTH;
 // The number of a node, which has at most 2^24 on its level, and the level above.
 static constexpr int LEVEL = 1 << 25;
 
@@ -36,19 +33,15 @@ static constexpr auto place_of = [](bool has, int lane, int& count) -> int {
     return place;
 };
 
-struct Box {
-    double lower[3], upper[3];
-};
-
-// Squared distance of a box from one whose sides begin at `side`; no more than that of any points in them.
-static constexpr auto gap_squared = [](const Box& box, const double* side) -> double {
-    double squared[3];
-    for (int axis = 0; axis < 3; ++axis) {
-        const double below = side[WIDTH * axis] - box.upper[axis], above = box.lower[axis] - side[WIDTH * (3 + axis)];
-        const double most = below > above ? below : above;
-        squared[axis] = most > 0.0 ? most * most : 0.0;
-    }
-    return (squared[0] + squared[1]) + squared[2];
+// Squared distance of a point from a box whose sides begin at `side`; no more than that of any point in it.
+static constexpr auto box_squared = [](const double* side, double x, double y, double z) -> double {
+    auto outside = [](double lower, double upper, double value) {
+        const double below = lower - value, above = value - upper, most = below > above ? below : above;
+        return most > 0.0 ? most : 0.0;
+    };
+    const double dx = outside(side[0], side[24], x), dy = outside(side[8], side[32], y),
+                 dz = outside(side[16], side[40], z);
+    return (dx * dx + dy * dy) + dz * dz;
 };
 
 // The leaves that a block of queries is asked about, and the level of the lowest node above them.
@@ -81,7 +74,6 @@ static constexpr auto nearest_alone = [](int query, const NearestTree& tree, con
     const double* const own = queries.positions.data + (size_t)block * 3 * LEAF + query % LEAF;
     const double x = own[0], y = own[LEAF], z = own[2 * LEAF];
     const double limit = queries.limit_squared.data[queries.limit_squared.shape[0] > 1 ? owner : 0];
-    const Box place{{x, y, z}, {x, y, z}};
     double* const row = queries.distance.data + (size_t)owner * k;
     int* const indices = queries.indices.data + (size_t)owner * k;
     double bound = limit;
@@ -135,7 +127,7 @@ static constexpr auto nearest_alone = [](int query, const NearestTree& tree, con
         const int* least = tree.least.data + (size_t)node * WIDTH;
         const int base = height;
         for (int j = 0; j < WIDTH; ++j) {
-            const double d = gap_squared(place, side + j);
+            const double d = box_squared(side + j, x, y, z);
             if (!is_above(span, WIDTH * n + j, l - 1) || !before(d, least[j], bound, bound_index)) continue;
             // The nearest child is pushed last; among equals, the first.
             int at = height++;
@@ -197,25 +189,14 @@ static constexpr auto nearest_together = [](int item, const NearestTree& tree, c
     const int k = queries.k, block = first / LEAF;
     const double* const own = queries.positions.data + (size_t)block * 3 * LEAF;
     const Span span = span_of(tree, queries, block);
-    int end = first;
-    Box run;
-    for (; end < first + queries.run && queries.index.data[end] != NONE; ++end)
-        for (int axis = 0; axis < 3; ++axis) {
-            const double value = own[LEAF * axis + end % LEAF];
-            run.lower[axis] = end == first || value < run.lower[axis] ? value : run.lower[axis];
-            run.upper[axis] = end == first || value > run.upper[axis] ? value : run.upper[axis];
-        }
-    // Of the query before: its place, and its k-th point, infinitely far away if there was none. The squared reach of
-    // the leaves in the queue around the box of the run, and whether they have had no room.
-    double last[3], last_far = -1.0, reach = -1.0;
-    int last_index = NONE, waiting = 0;
-    bool crowded = false;
-    for (int query = first; query < end; ++query) {
+    // Of the query before: its place, and its k-th point, infinitely far away if there was none.
+    double last[3], last_far = -1.0;
+    int last_index = NONE;
+    for (int query = first; query < first + queries.run && queries.index.data[query] != NONE; ++query) {
         const int owner = queries.index.data[query];
         const double x = own[query % LEAF], y = own[LEAF + query % LEAF], z = own[2 * LEAF + query % LEAF];
         const double limit = queries.limit_squared.data[queries.limit_squared.shape[0] > 1 ? owner : 0];
         const int self = queries.excluded ? owner : -1;
-        const Box place{{x, y, z}, {x, y, z}};
         double bound = limit, sure = limit;
         int bound_index = NONE, size = 0;
         // Sorts what there is and keeps the k nearest, which bound the rest.
@@ -268,61 +249,41 @@ static constexpr auto nearest_together = [](int item, const NearestTree& tree, c
                 if (takes && COUNTED) key[to] = (float)given;
             }
         };
-        // Scans the leaves in the queue that may have points within the bound.
-        auto scan_queue = [&] {
-            for (int begin = 0; begin < waiting; begin += LANES) {
-                const bool has = begin + lane < waiting;
-                const int leaf = queue[has ? begin + lane : begin];
-                const double d =
-                    gap_squared(place, tree.boxes.data + (size_t)(leaf / WIDTH) * 6 * WIDTH + leaf % WIDTH);
-                unsigned votes = votes_of(has && before(d, tree.least.data[leaf], bound, bound_index));
-                while (votes) {
-                    int mine = lowest_bit(votes);
-                    votes &= votes - 1;
-                    const bool both = LEAVES > 1 && votes, second = lane >= LEAF;
-                    if (both && second) mine = lowest_bit(votes);
-                    if (both) votes &= votes - 1;
-                    scan(queue[begin + mine], both || !second);
-                }
-            }
-        };
-        // The leaves within the bound of a box wait in the queue. Where it is full they are scanned, or the walk ends.
-        auto walk = [&](const Box& box, bool scans) {
-            int height = span.begin < span.end;
-            waiting = 0;
+        // All points within the bound.
+        auto find = [&] {
+            int height = span.begin < span.end, waiting = 0;
+            size = 0;
             if (lane == 0) stack[0] = (span.begin >> 3 * span.top) + LEVEL * span.top;
             wait_for_all();
-            while (height > 0) {
-                const int taken = height < NODES ? height : NODES;
-                height -= taken;
-                const bool has = lane / WIDTH < taken;
-                const int node = stack[height + (has ? lane / WIDTH : 0)];
-                const int level = node / LEVEL, n = node % LEVEL;
-                const int slot = tree.level_first.data[level] + n;
-                wait_for_all();
-                // The first child is opened first: of equal points, those with the lowest indices.
-                for (int j = WIDTH - 1 - lane % WIDTH; j >= 0; j -= LANES) {
-                    const double d = gap_squared(box, tree.boxes.data + (size_t)slot * 6 * WIDTH + j);
-                    const int child = WIDTH * n + j;
-                    const bool opens = has && is_above(span, child, level - 1)
-                                       && before(d, tree.least.data[(size_t)slot * WIDTH + j], bound, bound_index);
-                    const int leaf_to = place_of(opens && level == 1, lane, waiting);
-                    const int to = place_of(opens && level > 1, lane, height);
-                    if (opens && level == 1) queue[leaf_to] = child;
-                    if (opens && level > 1) stack[to] = child + LEVEL * (level - 1);
+            while (height + waiting > 0) {
+                if (waiting < LEAVES && height > 0) {
+                    const int taken = height < NODES ? height : NODES;
+                    height -= taken;
+                    const bool has = lane / WIDTH < taken;
+                    const int node = stack[height + (has ? lane / WIDTH : 0)];
+                    const int level = node / LEVEL, n = node % LEVEL;
+                    const size_t slot = tree.level_first.data[level] + n;
+                    wait_for_all();
+                    // The first child is opened first: of equal points, those with the lowest indices.
+                    for (int j = WIDTH - 1 - lane % WIDTH; j >= 0; j -= LANES) {
+                        const double d = box_squared(tree.boxes.data + slot * 6 * WIDTH + j, x, y, z);
+                        const int child = WIDTH * n + j;
+                        const bool opens = has && is_above(span, child, level - 1)
+                                           && before(d, tree.least.data[slot * WIDTH + j], bound, bound_index);
+                        const int leaf_to = place_of(opens && level == 1, lane, waiting);
+                        const int to = place_of(opens && level > 1, lane, height);
+                        if (opens && level == 1) queue[leaf_to] = child;
+                        if (opens && level > 1) stack[to] = child + LEVEL * (level - 1);
+                    }
+                    wait_for_all();
                 }
-                wait_for_all();
-                if (waiting <= QUEUE - NODES * WIDTH) continue;
-                if (!scans) return false;
-                scan_queue();
-                waiting = 0;
+                if (waiting >= LEAVES || (height == 0 && waiting > 0)) {
+                    const int taken = waiting < LEAVES ? waiting : LEAVES;
+                    waiting -= taken;
+                    const bool has = lane / LEAF < taken;
+                    scan(queue[waiting + (has ? lane / LEAF : 0)], has);
+                }
             }
-            return true;
-        };
-        auto find = [&](bool walks) {
-            size = 0;
-            if (walks) walk(place, true), reach = -1.0;
-            scan_queue();
             rank();
         };
         // By the triangle inequality the k-th point is no farther than the last query's k-th and that query together.
@@ -335,14 +296,6 @@ static constexpr auto nearest_together = [](int item, const NearestTree& tree, c
             sure = sure < limit ? sure : limit;
             const double enough = last_far * queries.stretch;
             bound = enough < sure ? enough : sure;
-            if (reach < bound && reach > last_far * (0.5 + 0.5 * queries.stretch)) bound = reach;
-            if (reach < bound && !crowded) {
-                const double wanted = bound;
-                bound = wanted * MARGIN;
-                crowded = !walk(run, false);
-                reach = crowded ? -1.0 : bound;
-                bound = wanted;
-            }
             if (gap == 0.0) bound = last_far, bound_index = last_index + 1;
         } else if (span.begin < span.end) {
             // The leaves around the nearest one on the way down.
@@ -354,7 +307,7 @@ static constexpr auto nearest_together = [](int item, const NearestTree& tree, c
                     int best = 0;
                     double nearest = (double)INFINITY;
                     for (int j = 0; j < WIDTH; ++j) {
-                        const double d = gap_squared(place, tree.boxes.data + slot * 6 * WIDTH + j);
+                        const double d = box_squared(tree.boxes.data + slot * 6 * WIDTH + j, x, y, z);
                         if (d < nearest) nearest = d, best = j;
                     }
                     leaf = WIDTH * leaf + best;
@@ -373,10 +326,10 @@ static constexpr auto nearest_together = [](int item, const NearestTree& tree, c
             sure = bound;
             bound_index += size == k;
         }
-        find(bound > reach);
+        find();
         while (size < k && (bound < limit || bound_index < NONE)) {
             bound = bound < sure ? sure : limit, bound_index = NONE;
-            find(true);
+            find();
         }
         last[0] = x, last[1] = y, last[2] = z;
         last_far = size == k ? bound : (double)INFINITY, last_index = bound_index;

@@ -13,17 +13,14 @@ from geokit.points.search.nearest_tree_kernels import LEAF, NONE, WIDTH, Nearest
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-# Registers of a thread on a GPU; see docs/design/launches-and-memory.md. Teams spill more with 64; with 96 fewer are
-# resident.
-REGISTERS, TEAM_REGISTERS = 96, 80
-# Squared reach of the leaves that a team lists, relative to what its first query needs.
-MARGIN = 1.2
+# Registers of a thread on a GPU; see docs/design/launches-and-memory.md.
+REGISTERS, TEAM_REGISTERS = 96, 64
 
 
 def _nearest(function: str, **constants: int):
     """C++ of a search; its tree's sizes are constants."""
     sizes = {"LEAF": int(LEAF), "WIDTH": int(WIDTH), "NONE": int(NONE), "LENGTH": 1, "ROOM": 256, "THREADS": 32}
-    return cpp.native_item("points/search/nearest_cuda.inl", function, **(sizes | constants), MARGIN=MARGIN)
+    return cpp.native_item("points/search/nearest_cuda.inl", function, **(sizes | constants))
 
 
 @wp.kernel(cuda_max_registers=REGISTERS)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
-from geokit.core.launches import replay
+from geokit.core.launches import prepared
 from geokit.core.memory.unchecked import sort_pairs
 
 if TYPE_CHECKING:
@@ -111,7 +111,7 @@ def curve_order(points: "wp.array", frame: Any, device: Any) -> tuple["wp.array"
     from geokit.points.search import nearest_tree_kernels as kernels
 
     count = len(points)
-    replay.refuse()
+    prepared.refuse()
     # radix_sort_pairs uses the second half of both arrays as scratch space.
     keys = wp.empty(2 * count, dtype=wp.int32, device=device)
     order = wp.empty(2 * count, dtype=wp.int32, device=device)

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core.memory import available_memory
-from geokit.errors import DeviceMemoryError
 from geokit.volume.components.labels import CELL_SPANS, Labels, Rows
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import info_of
@@ -110,13 +109,9 @@ def volumes_of(
     """
     layout = tree.layout
     nodes = layout.upper_size + layout.lower_size if tree.background.tobytes().strip(b"\0") else SPARSE_NODES
-    need, have = count * nodes + len(component) * layout.leaf_size, available_memory.available_host()
-    if need > have:
-        raise DeviceMemoryError(
-            f"volume: its {count:,} components take about {need >> 20} MiB as volumes, of {have >> 20} MiB free; use "
-            "connected_components, which labels them in one volume",
-            need=need,
-        )
+    remedy = "use connected_components, which labels them in one volume"
+    need = count * nodes + len(component) * layout.leaf_size
+    available_memory.require_room(need, f"volume: as volumes, its {count:,} components need", remedy)
     head = head_like(volume, layout, tree.background)
     begin = 0
     while begin < count:
