@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from geokit.volume.nanovdb.layout import GridLayout
 from geokit.volume.nanovdb.nodes import bits_of
 
-__all__ = ["Items", "add_items", "items_of_leaves", "items_of_tiles", "reduced"]
+__all__ = ["NO_BOX", "Items", "add_items", "items_of_leaves", "items_of_tiles", "reduced"]
 
 # The neutral element of a union of boxes.
 NO_BOX = np.array([[[np.iinfo(np.int32).max] * 3, [np.iinfo(np.int32).min] * 3]], np.int32)
@@ -59,8 +59,8 @@ def items_of_leaves(
     values: NDArray[Any],
     out: Items,
     part: slice,
-) -> int:
-    """Fill a part of ``out`` from leaves; returns the number of their active voxels."""
+) -> NDArray[np.int64]:
+    """Fill a part of ``out`` from leaves; returns their numbers of active voxels."""
     local = _local_boxes(masks)
     some = local[:, 0, 0] <= local[:, 1, 0]
     out.boxes[part] = np.where(some[:, None, None], local + origins[:, None, :], NO_BOX)
@@ -78,7 +78,7 @@ def items_of_leaves(
             column[part] = values[rows, at]
             if key_column is not column:
                 key_column[part] = keys[rows, at]
-    return int(_BITS[masks].sum(dtype=np.int64))
+    return np.asarray(_BITS[masks].sum(axis=1, dtype=np.int64))
 
 
 def items_of_tiles(layout: GridLayout, origins: NDArray[np.int32], values: NDArray[Any], span: int) -> Items:
