@@ -27,9 +27,7 @@ def _combining(name: str, least: int, text: str) -> None:
         from geokit import mesh
 
         if len(files) <= least:
-            raise CycloptsError(
-                msg=f"{name}: {len(files)} files given; name at least {least} to read, and one to write"
-            )
+            raise CycloptsError(msg=f"{name}: {len(files)} files given; name {least} or more to read, and one to write")
         *sources, target = files
         may_write(target, "mesh", force=common.force)
         for source in sources:

@@ -12,6 +12,7 @@ A line ``#include "mesh/bvh/boxes.inl"`` in a file stands for the lines of that 
 
 import inspect
 import linecache
+import re
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -21,26 +22,39 @@ import warp as wp
 
 __all__ = ["cpp", "func_native", "native_item"]
 
+# Types of C++ whose names warp does not have.
+_TYPES = {
+    "int": int,
+    "float": wp.float32,
+    "double": wp.float64,
+    "unsigned": wp.uint32,
+    "long long": wp.int64,
+    "unsigned long long": wp.uint64,
+    "point": wp.vec3d,
+}
 _PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def func_native(
-    file: str, *, function: str = "", defines: dict[str, str] | None = None, **constants: int | float
+    file: str, *structs: Any, function: str = "", defines: dict[str, str] | None = None, **constants: int | float
 ) -> Callable[[Callable[..., Any]], wp.Function]:
     """Decorator of a function that calls the C++ function of its name, or of another name, in a file.
 
-    The C++ function has the parameters of the declaration. Structs have their names in Python; those that are in no
+    The C++ function has the parameters of the declaration. A declaration without any has those of the C++ function,
+    which then says their types; its arrays have one dimension. Structs have their names in Python; those that are in no
     parameter of the declaration are ``auto``. CUDA does not compile what a file that ends in ``_cpu.inl`` holds. Warp
     looks for a decorator of this name above what returns something: write ``@cpp.func_native(...)``.
 
     Args:
         file: As for :func:`cpp`.
+        structs: Structs among the parameters that the declaration leaves to the C++ function.
         function: Name of the C++ function, if it is not the declaration's.
         defines: As for :func:`cpp`.
         constants: As for :func:`cpp`.
     """
 
     def declare(declaration: Callable[..., Any]) -> wp.Function:
+        _complete(declaration, file, function or declaration.__name__, structs)
         parameters = inspect.signature(declaration).parameters
         types = {name: getattr(parameter.annotation, "key", "") for name, parameter in parameters.items()}
         named = "\n".join(f"using {struct} = decltype({name});" for name, struct in types.items() if struct)
@@ -55,18 +69,20 @@ def func_native(
     return declare
 
 
-def native_item(file: str, function: str, **given: Any) -> Callable[[Callable[..., Any]], Any]:
+def native_item(file: str, function: str, *structs: Any, **given: Any) -> Callable[[Callable[..., Any]], Any]:
     """Decorator, below ``wp.kernel``, of a kernel whose items each call a C++ function in a file.
 
-    The C++ function has the parameters of the kernel, with the item in place of ``first``.
+    The C++ function has the parameters of the kernel, with the item in place of ``first``; a kernel without others has
+    those of the C++ function (:func:`func_native`).
 
     Args:
-        file, given: As for :func:`func_native`.
+        file, structs, given: As for :func:`func_native`.
         function: Name of the C++ function.
     """
 
     def declare(declaration: Callable[..., Any]) -> Any:
         name, module = declaration.__name__, declaration.__globals__
+        _complete(declaration, file, function, structs)
         first, *others = inspect.signature(declaration).parameters
         call = f"{name}_item({', '.join([f'{first} + wp.tid()', *others])})"
         text = f"def {name}({', '.join([first, *others])}):\n    {call}\n"
@@ -80,6 +96,25 @@ def native_item(file: str, function: str, **given: Any) -> Callable[[Callable[..
         return made[name]
 
     return declare
+
+
+def _complete(declaration: Any, file: str, function: str, structs: tuple[Any, ...]) -> None:
+    """Give a declaration without parameters, or with ``first`` alone, those of a C++ function."""
+    own = inspect.signature(declaration)
+    parameters = [*own.parameters.values()]
+    if [*own.parameters] not in ([], ["first"]):
+        return
+    head = re.search(rf"^static constexpr auto {function} = \[\]\((.*?)\)", _read(file), re.DOTALL | re.MULTILINE)
+    assert head, f"{file}: there is no {function}"
+    known = _TYPES | {struct.key: struct for struct in structs}
+    for text in head[1].split(",")[len(parameters) :]:
+        kind, name = text.replace("const ", "").replace("&", "").strip().rsplit(" ", 1)
+        inner = kind.removeprefix("wp::array_t<").removesuffix(">")
+        found = known.get(inner) or getattr(wp, inner.removeprefix("wp::").removesuffix("_t"))
+        annotation = found if inner == kind else wp.array(dtype=found)
+        parameters.append(inspect.Parameter(name, inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation=annotation))
+        declaration.__annotations__[name] = annotation
+    declaration.__signature__ = own.replace(parameters=parameters)
 
 
 def cpp(file: str, *, defines: dict[str, str] | None = None, **constants: int | float) -> str:

@@ -24,37 +24,17 @@ _CONSTANTS = {"BUCKETS": BUCKETS, "LOW_BITS": LOW_BITS, "MANY": MANY, "FEW": FEW
 
 @wp.kernel
 @cpp.native_item("core/morton_order_cpu.inl", "count_share", **_CONSTANTS)
-def count_kernel(
-    first: int,
-    share: int,
-    points: wp.array(dtype=wp.vec3d),
-    lower: wp.vec3d,
-    inverse_extent: wp.float64,
-    out_key: wp.array(dtype=wp.uint32),
-    out_counts: wp.array(dtype=int),
-):
+def count_kernel(first: int):
     """Keys of a share of the points, and how many are in each bucket; ``out_counts`` has a row for each share."""
 
 
 @wp.kernel
 @cpp.native_item("core/morton_order_cpu.inl", "place_share", **_CONSTANTS)
-def place_kernel(
-    first: int,
-    share: int,
-    keys: wp.array(dtype=wp.uint32),
-    places: wp.array(dtype=int),
-    out_pairs: wp.array(dtype=wp.uint64),
-):
+def place_kernel(first: int):
     """Puts the low bits of each key, and the number of its point, into its bucket; moves ``places`` on."""
 
 
 @wp.kernel
 @cpp.native_item("core/morton_order_cpu.inl", "sort_bucket", **_CONSTANTS)
-def sort_kernel(
-    first: int,
-    start: wp.array(dtype=int),
-    pairs: wp.array(dtype=wp.uint64),
-    spare: wp.array(dtype=wp.uint64),
-    out_order: wp.array(dtype=int),
-):
+def sort_kernel(first: int):
     """The points of a bucket in the order of their keys."""

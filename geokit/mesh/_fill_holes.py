@@ -77,12 +77,12 @@ def fill_holes(mesh: MeshLike, *, max_width: float = math.inf) -> FilledHoles:
         Barequet and Sharir, Filling gaps in the boundary of a polyhedron (1995).
     Example:
         >>> box = gk.mesh.box()
-        >>> found = gk.mesh.fill_holes(gk.mesh.TriangleMesh(box.vertices, box.faces[2:]))
-        >>> found.mesh.volume, found.hole.max(), found.width.round(3)
-        (1.0, 0, array([1.414]))
+        >>> found = gk.mesh.fill_holes(gk.mesh.TriangleMesh(box.vertices, box.faces[1:]))
+        >>> found.mesh.volume, found.hole.tolist().count(0), found.width.round(3)
+        (1.0, 1, array([1.414]))
     """
     given, flipped, _ = orient(require_mesh(mesh, "mesh"))
-    max_width = math.inf if max_width == math.inf else require_finite_scalar(max_width, "max_width", low=-math.ulp(0.0))
+    max_width = require_finite_scalar(max_width, "max_width", low=-math.ulp(0.0), infinite=True)
     _, _, collapsed, topology = mesh_topology(given)
     rims = find_rims(topology)
     face = np.flatnonzero(~collapsed)[rims.half_edges // 3]
@@ -116,7 +116,7 @@ def _unclashing(
     corner: NDArray[np.int64],
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Corners of patches' faces as rows of the rims (T, 3), and the hole of each (T,); faces that clash are refused."""
-    fixed = edges_within(topology, rims), face_normals(mesh)[corner // 3]
+    fixed = edges_within(topology, rims), face_normals(TriangleMesh(mesh.vertices, mesh.faces[corner // 3]))
     rows, hole, source = np.zeros((0, 3), np.int64), np.zeros(0, np.int64), None
     refused = rows
     for _ in range(TRIALS):

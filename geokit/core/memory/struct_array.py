@@ -26,6 +26,11 @@ class Parts(NamedTuple):
     starts: NDArray[Any]
     counts: NDArray[Any]
 
+    @classmethod
+    def between(cls, array: "wp.array", begin: NDArray[Any], each: int = 1) -> Parts:
+        """The parts from each row of ``begin`` to the next, of ``each`` elements a number."""
+        return cls(array, each * begin[:-1], each * np.diff(begin))
+
 
 def layout_of_struct(struct: Any) -> np.dtype[Any]:
     """NumPy type of a struct."""

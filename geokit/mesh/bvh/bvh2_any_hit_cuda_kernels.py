@@ -17,18 +17,10 @@ CANDIDATES = 16
 REGISTERS = 64
 
 
-@cpp.func_native("mesh/bvh/ray_candidates_cuda.inl", **CANDIDATE_CONSTANTS, CANDIDATES=CANDIDATES, ANY_HIT=True)
-def any_hit(
-    tree: SurfaceTree,
-    wide: wp.array(dtype=int),
-    start: wp.vec3d,
-    direction: wp.vec3d,
-    t_min: wp.float64,
-    t_max: wp.float64,
-    ray: int,
-    out_occluded: wp.array(dtype=wp.bool),
-    out_bad: wp.array(dtype=int),
-): ...
+@cpp.func_native(
+    "mesh/bvh/ray_candidates_cuda.inl", SurfaceTree, **CANDIDATE_CONSTANTS, CANDIDATES=CANDIDATES, ANY_HIT=True
+)
+def any_hit(): ...
 
 
 @wp.kernel(cuda_max_registers=REGISTERS, grid_stride=False)

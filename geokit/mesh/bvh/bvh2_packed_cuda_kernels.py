@@ -56,15 +56,5 @@ def mark_kept_kernel(first: int, mesh: wp.uint64, most: int, out_kept: wp.array(
 
 @wp.kernel
 @cpp.native_item("mesh/bvh/bvh2_packed.inl", "pack_node", **NODE_CONSTANTS)
-def pack_nodes_kernel(
-    first: int,
-    mesh: wp.uint64,
-    most: int,
-    padding: wp.float32,
-    kept: wp.array(dtype=int),
-    place: wp.array(dtype=int),
-    out_leaves: wp.array(dtype=wp.float32),
-    out_nodes: wp.array(dtype=wp.float32),
-    out_root: wp.array(dtype=int),
-):
+def pack_nodes_kernel(first: int):
     """Write the rows of the kept nodes to their places (counted from one), and the reference of the root."""

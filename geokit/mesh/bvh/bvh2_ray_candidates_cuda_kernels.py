@@ -36,19 +36,10 @@ CANDIDATE_CONSTANTS = {
 }
 
 
-@cpp.func_native("mesh/bvh/ray_candidates_cuda.inl", **CANDIDATE_CONSTANTS, CANDIDATES=CANDIDATES, ANY_HIT=False)
-def first_hit(
-    tree: SurfaceTree,
-    start: wp.vec3d,
-    direction: wp.vec3d,
-    t_min: wp.float64,
-    t_max: wp.float64,
-    ray: int,
-    out_t: wp.array(dtype=wp.float64),
-    out_triangle_id: wp.array(dtype=int),
-    out_barycentric: wp.array(dtype=wp.vec3d),
-    out_bad: wp.array(dtype=int),
-): ...
+@cpp.func_native(
+    "mesh/bvh/ray_candidates_cuda.inl", SurfaceTree, **CANDIDATE_CONSTANTS, CANDIDATES=CANDIDATES, ANY_HIT=False
+)
+def first_hit(): ...
 
 
 @wp.kernel(cuda_max_registers=REGISTERS, grid_stride=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from geokit.core import launcher
 from geokit.core.memory import host_pool
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from geokit.core.frame import Frame
 
-__all__ = ["WideTrees", "build_wide_trees", "place_triangles", "ray_leaves", "refit_wide_tree"]
+__all__ = ["WideTrees", "build_wide_trees", "offsets_of", "place_triangles", "ray_leaves", "refit_wide_tree"]
 
 # References of a subtree that one thread builds. Smaller subtrees balance better; larger ones leave less to the top,
 # which a single thread builds.
@@ -87,7 +87,7 @@ def build_wide_trees(
     counts = np.diff(begin)
     limit = np.maximum(SMALLEST_SUBTREE, counts // SUBTREES)
     capacity = np.where(counts <= limit, 1, np.minimum(TOP_CAPACITY, counts // limit + 8))
-    base = _offsets(capacity)
+    base = offsets_of(capacity)
     room = int(base[-1])
     top = empty(48 * room, wp.float32), empty(WIDTH * room)
     subtree, top_size = empty(3 * WIDTH * room), empty(2 * trees)
@@ -95,12 +95,12 @@ def build_wide_trees(
     launcher.launch(kernels.top_kernel, trees, inputs, [*top, subtree, top_size], device, grain=1)
     top_counts, subtree_counts = top_size.numpy().reshape(-1, 2).T.astype(np.int64)
     # Subtrees and nodes of tops from here on: those of all trees, without the gaps between them.
-    tree, first_subtree = np.repeat(np.arange(trees), subtree_counts), _offsets(subtree_counts)
+    tree, first_subtree = np.repeat(np.arange(trees), subtree_counts), offsets_of(subtree_counts)
     ranges = subtree.numpy().reshape(-1, 3)[_spans(WIDTH * base[:-1], subtree_counts)]
     subtrees, subtree = len(ranges), _int32(ranges.ravel())
 
     # Oversized arrays are free: memory pages that are never written take no space.
-    node_base = _offsets((ranges[:, 1] - ranges[:, 0]) // NODE_SHARE + 2)
+    node_base = offsets_of((ranges[:, 1] - ranges[:, 0]) // NODE_SHARE + 2)
     parts = empty(48 * int(node_base[-1]), wp.float32), empty(8 * int(node_base[-1]))
     leaf = empty(count), empty(count)
     size = empty(2 * subtrees)
@@ -109,8 +109,8 @@ def build_wide_trees(
         kernels.subtree_kernel, subtrees, [references, sides, subtree, starts], [*parts, *leaf, size], device, grain=1
     )
 
-    nodes_before, leaves_before = (_offsets(column) for column in size.numpy().reshape(-1, 2).T)
-    nodes, leaves = _offsets(top_counts) + nodes_before[first_subtree], leaves_before[first_subtree]
+    nodes_before, leaves_before = (offsets_of(column) for column in size.numpy().reshape(-1, 2).T)
+    nodes, leaves = offsets_of(top_counts) + nodes_before[first_subtree], leaves_before[first_subtree]
     leaf_place = leaves_before[:-1]
     node_offset = nodes_before[:-1] - nodes_before[first_subtree[tree]] + top_counts[tree]
     boxes = tree_array(48 * int(nodes[-1]), wp.float32, device)
@@ -153,17 +153,22 @@ def place_triangles(
     return placed
 
 
-def ray_leaves(tree: Any) -> "wp.array":
-    """The packed ray leaves of a tree on the CPU."""
+def ray_leaves(
+    slot_triangle: "wp.array",
+    slots: NDArray[np.int64],
+    placed: tuple["wp.array", "wp.array"],
+    origins: NDArray[np.float64],
+    scales: NDArray[np.float64],
+) -> "wp.array":
+    """The packed leaves for rays; the arguments are those and the answer of :func:`place_triangles`."""
     import warp as wp
 
     from geokit.mesh.bvh.bvh8_leaves_cpu_kernels import LEAF_WORDS, ray_leaves_kernel
     from geokit.mesh.bvh.tree_memory import tree_array
 
-    device = tree.slot_triangle.device
-    blocks = len(tree.slot_triangle) // WIDTH
+    device, blocks = slot_triangle.device, len(slot_triangle) // WIDTH
     leaves = tree_array(LEAF_WORDS * blocks, wp.float32, device)
-    inputs = [tree.slot_triangle, tree.corners, tree.leaves, tree.origin, tree.scale]
+    inputs = [_int32(slots), slot_triangle, *placed, HostArray(origins), HostArray(scales)]
     launcher.launch(ray_leaves_kernel, blocks, inputs, [leaves], device)
     return leaves
 
@@ -183,13 +188,14 @@ def refit_wide_tree(tree: Any, frame: Frame) -> None:
     launcher.launch(refit_kernel, 1, [count, tree.children, boxes], [tree.boxes], device)
 
 
-def _offsets(counts: NDArray[Any]) -> NDArray[np.int64]:
+def offsets_of(counts: ArrayLike) -> NDArray[np.int64]:
+    """Where each part begins, and their end, by the sizes of the parts."""
     return np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
 
 
 def _spans(starts: NDArray[np.int64], counts: NDArray[np.int64]) -> NDArray[np.int64]:
     """The numbers from each start on, as many as its count."""
-    return np.arange(counts.sum()) + np.repeat(starts - _offsets(counts)[:-1], counts)
+    return np.arange(counts.sum()) + np.repeat(starts - offsets_of(counts)[:-1], counts)
 
 
 def _int32(values: NDArray[Any]) -> HostArray:

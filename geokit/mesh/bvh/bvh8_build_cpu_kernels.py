@@ -62,15 +62,7 @@ def rounded_down(x: wp.float64) -> wp.float32:
 
 @wp.kernel
 @cpp.native_item("mesh/bvh/bvh8_build_cpu.inl", "write_reference", **_CONSTANTS)
-def references_kernel(
-    first: int,
-    vertices: wp.array(dtype=wp.vec3d),
-    faces: wp.array(dtype=int),
-    begin: wp.array(dtype=int),
-    origins: wp.array(dtype=wp.vec3d),
-    scales: wp.array(dtype=wp.float64),
-    out_references: wp.array(dtype=wp.float32),
-):
+def references_kernel(first: int):
     """The reference of each triangle; ``begin`` has the first triangle of each tree, and their number."""
 
 
@@ -94,18 +86,7 @@ def top_kernel(
 
 @wp.kernel
 @cpp.native_item("mesh/bvh/bvh8_build_cpu.inl", "build_subtree", **_CONSTANTS)
-def subtree_kernel(
-    first: int,
-    references: wp.array(dtype=wp.float32),
-    sides: wp.array(dtype=wp.uint8),
-    subtree: wp.array(dtype=int),
-    node_base: wp.array(dtype=int),
-    out_boxes: wp.array(dtype=wp.float32),
-    out_children: wp.array(dtype=int),
-    out_leaf_begin: wp.array(dtype=int),
-    out_leaf_end: wp.array(dtype=int),
-    out_size: wp.array(dtype=int),
-): ...
+def subtree_kernel(first: int): ...
 
 
 @wp.kernel
@@ -215,11 +196,5 @@ def block_boxes_kernel(
 
 @wp.kernel
 @cpp.native_item("mesh/bvh/bvh8_build_cpu.inl", "refit_nodes", **_CONSTANTS)
-def refit_kernel(
-    first: int,
-    count: int,
-    children: wp.array(dtype=int),
-    block_boxes: wp.array(dtype=wp.float32),
-    out_boxes: wp.array(dtype=wp.float32),
-):
+def refit_kernel(first: int):
     """Launched for one item: there are few nodes compared with triangles."""

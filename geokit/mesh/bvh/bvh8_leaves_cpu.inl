@@ -116,14 +116,17 @@ static constexpr auto place_block = [](int block, const wp::array_t<int>& begin,
 //
 // A leaf is nine rows of eight 16-bit numbers (x, y, z of three corners), then a head: lower corner 0-2, quanta per
 // unit 3, margin of the edge functions 4 and of depths 5, bits 6 (of filled lanes 0-7, of slivers 8-15).
-static constexpr auto pack_leaf = [](int block, const wp::array_t<int>& slot_triangle,
+static constexpr auto pack_leaf = [](int block, const wp::array_t<int>& begin, const wp::array_t<int>& slot_triangle,
                                      const wp::array_t<wp::vec3d>& corners, const wp::array_t<float>& leaves,
-                                     const wp::vec3d& origin, double scale, wp::array_t<float>& out_leaves) {
+                                     const wp::array_t<wp::vec3d>& origins, const wp::array_t<double>& scales,
+                                     wp::array_t<float>& out_leaves) {
+    const int tree = part_of(begin, WIDTH * block);
+    const wp::vec3d& origin = origins.data[tree];
     const double* const corner = (const double*)(corners.data + 24 * (wp::int64)block);
     const float* const plane = leaves.data + 8 * PLANE_ROWS * (wp::int64)block;
     float* const word = out_leaves.data + LEAF_WORDS * (wp::int64)block;
     float* const head = word + HEAD;
-    const double local = 1.0 / scale;
+    const double local = 1.0 / scales.data[tree];
     unsigned there = 0, slivers = 0;
     int filled = 0;
     for (int lane = 0; lane < 8; ++lane) {

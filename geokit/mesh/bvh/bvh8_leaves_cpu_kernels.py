@@ -37,43 +37,13 @@ _CONSTANTS = {
 }
 
 
-@cpp.func_native("mesh/bvh/bvh8_leaves_cpu.inl", **_CONSTANTS)
-def pack_leaf(
-    block: int,
-    slot_triangle: wp.array(dtype=int),
-    corners: wp.array(dtype=wp.vec3d),
-    leaves: wp.array(dtype=wp.float32),
-    origin: wp.vec3d,
-    scale: wp.float64,
-    out_leaves: wp.array(dtype=wp.float32),
-): ...
-
-
 @wp.kernel
 @cpp.native_item("mesh/bvh/bvh8_leaves_cpu.inl", "place_block", **_CONSTANTS)
-def place_blocks_kernel(
-    first: int,
-    begin: wp.array(dtype=int),
-    slot_triangle: wp.array(dtype=int),
-    vertices: wp.array(dtype=wp.vec3d),
-    faces: wp.array(dtype=int),
-    origins: wp.array(dtype=wp.vec3d),
-    scales: wp.array(dtype=wp.float64),
-    out_corners: wp.array(dtype=wp.vec3d),
-    out_leaves: wp.array(dtype=wp.float32),
-):
+def place_blocks_kernel(first: int):
     """One item is a block of slots; ``begin`` has the first slot of each tree, and their number."""
 
 
 @wp.kernel
-def ray_leaves_kernel(
-    first: int,
-    slot_triangle: wp.array(dtype=int),
-    corners: wp.array(dtype=wp.vec3d),
-    leaves: wp.array(dtype=wp.float32),
-    origin: wp.vec3d,
-    scale: wp.float64,
-    out_leaves: wp.array(dtype=wp.float32),
-):
-    """Pack the leaves into the form that rays read."""
-    pack_leaf(first + wp.tid(), slot_triangle, corners, leaves, origin, scale, out_leaves)
+@cpp.native_item("mesh/bvh/bvh8_leaves_cpu.inl", "pack_leaf", **_CONSTANTS)
+def ray_leaves_kernel(first: int):
+    """Pack the leaves of the same blocks into the form that rays read."""

@@ -30,34 +30,38 @@ NOWHERE = np.float32(1.0e5)
 
 @cpp.func_native(
     "mesh/bvh/bvh8_moments_cpu.inl",
+    SurfaceTree,
     RAW_SIZE=RAW_SIZE,
     MOMENT_ROWS=MOMENT_ROWS,
     RADIUS_SLACK=RADIUS_SLACK,
     NOWHERE=NOWHERE,
 )
-def node_moments(
-    tree: SurfaceTree,
-    flipped: wp.array(dtype=wp.bool),
-    node: int,
-    raw: wp.array(dtype=wp.float64),
-    moments: wp.array(dtype=wp.float32),
-    areas: wp.array(dtype=wp.float32),
-): ...
+def node_moments(): ...
+
+
+@wp.struct
+class TreeMoments:
+    """The moments of one of many trees.
+
+    ``flipped`` marks triangles whose winding counts as reversed; an empty array means none. ``areas`` gets, for each
+    slot, minus twice the area, with the opposite sign for flipped triangles.
+    """
+
+    tree: SurfaceTree
+    flipped: wp.array(dtype=wp.bool)
+    raw: wp.array(dtype=wp.float64)
+    moments: wp.array(dtype=wp.float32)
+    areas: wp.array(dtype=wp.float32)
 
 
 @wp.kernel
 def moments_kernel(
-    first: int,
-    nodes: wp.array(dtype=int),
-    tree: SurfaceTree,
-    flipped: wp.array(dtype=wp.bool),
-    raw: wp.array(dtype=wp.float64),
-    out_moments: wp.array(dtype=wp.float32),
-    out_areas: wp.array(dtype=wp.float32),
+    first: int, nodes: wp.array(dtype=int), owner: wp.array(dtype=int), trees: wp.array(dtype=TreeMoments)
 ):
-    """Moments of the children of some nodes, whose own inner nodes must be done.
+    """Moments of the children of some nodes, whose own inner nodes must be done; written into ``trees``.
 
-    ``flipped`` marks triangles whose winding counts as reversed; an empty array means none. ``out_areas`` gets, for
-    each slot below these nodes, minus twice the area, with the opposite sign for flipped triangles.
+    ``nodes`` count from the root of their tree, the ``owner``.
     """
-    node_moments(tree, flipped, nodes[first + wp.tid()], raw, out_moments, out_areas)
+    i = first + wp.tid()
+    one = trees[owner[i]]
+    node_moments(one.tree, one.flipped, nodes[i], one.raw, one.moments, one.areas)

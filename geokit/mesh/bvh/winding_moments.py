@@ -5,14 +5,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.memory.host_array import HostArray
+from geokit.core.memory.struct_array import Parts, struct_array, struct_rows, struct_table
 
 if TYPE_CHECKING:
     import warp as wp
-    from numpy.typing import NDArray
 
-__all__ = ["build_winding_tree", "winding_tree_of_mesh"]
+__all__ = ["build_moments", "build_winding_tree", "winding_tree_of_mesh"]
 
 # Nodes per slice of a launch: the moments of one node, with its leaves, take a few microseconds.
 NODE_GRAIN = 64
@@ -26,30 +28,59 @@ def build_winding_tree(tree: Any, flipped: NDArray[np.bool_] | None = None) -> A
         flipped: Triangles whose winding counts as reversed, shape (F,); None for none.
     Returns:
         A :class:`WindingTree`. It must be rebuilt after the tree's corners have moved.
+    """
+    import warp as wp
+
+    from geokit.mesh.bvh.tree_kernels import SurfaceTree
+    from geokit.mesh.bvh.winding_kernels import WindingTree
+
+    some = np.empty(0, bool) if flipped is None or not flipped.any() else flipped
+    turned: Any = wp.array(some, dtype=wp.bool, device=tree.children.device)
+    nodes, slots = np.array([0, len(tree.children) // 8]), np.array([0, len(tree.slot_triangle)])
+    table = struct_rows(SurfaceTree, [tree])
+    moments, areas = build_moments(table, tree.children, nodes, slots, turned, np.zeros(1, np.int64))
+    winding = WindingTree()
+    winding.moments, winding.areas = moments.array, areas.array
+    return winding
+
+
+def build_moments(
+    trees: NDArray[Any],
+    children: "wp.array",
+    nodes: NDArray[np.int64],
+    slots: NDArray[np.int64],
+    flipped: "Parts | wp.array",
+    chosen: NDArray[np.int64],
+) -> tuple[Parts, Parts]:
+    """The moments and areas of :class:`WindingTree` for some of many trees on the CPU.
+
+    Args:
+        trees: The table of :class:`SurfaceTree`.
+        children: Those of all trees.
+        nodes, slots: The first ones of each tree, and their number, (B + 1,).
+        flipped: For each tree the triangles whose winding counts as reversed; without elements for none.
+        chosen: Rows of the trees that are asked; those of others stay as they are.
     Source:
         Barill, Dickson, Schmidt, Levin, Jacobson, "Fast Winding Numbers for Soups and Clouds" (2018). Differs: harmonic
         moments of three orders, of exact integrals over triangles.
     """
     import warp as wp
 
-    from geokit.mesh.bvh import bvh8_moments_kernels as kernels
-    from geokit.mesh.bvh.winding_kernels import WindingTree
+    from geokit.mesh.bvh.bvh8_moments_kernels import MOMENT_ROWS, RAW_SIZE, TreeMoments, moments_kernel
 
-    device = tree.children.device
-    turned = wp.empty(0, dtype=wp.bool, device=device)
-    if flipped is not None and flipped.any():
-        turned = wp.array(flipped, dtype=wp.bool, device=device)
-    node_count = len(tree.children) // 8
-    winding = WindingTree()
-    winding.moments = wp.empty(8 * kernels.MOMENT_ROWS * node_count, dtype=wp.float32, device=device)
-    winding.areas = wp.empty(len(tree.slot_triangle), dtype=wp.float32, device=device)
-    raw = wp.empty(kernels.RAW_SIZE * node_count, dtype=wp.float64, device=device)
-    for level in reversed(_levels(tree.children.numpy().reshape(-1, 8))):
-        nodes = wp.array(level, dtype=wp.int32, device=device)
-        inputs = [nodes, tree, turned, raw]
-        outputs = [winding.moments, winding.areas]
-        launcher.launch(kernels.moments_kernel, len(level), inputs, outputs, device, grain=NODE_GRAIN)
-    return winding
+    device = children.device
+
+    def empty(begin: NDArray[np.int64], each: int, dtype: Any) -> Parts:
+        return Parts.between(wp.empty(each * int(begin[-1]), dtype=dtype, device=device), begin, each)
+
+    moments, areas = empty(nodes, 8 * MOMENT_ROWS, wp.float32), empty(slots, 1, wp.float32)
+    raw = empty(nodes, RAW_SIZE, wp.float64)
+    fields = {"tree": trees, "flipped": flipped, "raw": raw, "moments": moments, "areas": areas}
+    table = struct_array(struct_table(TreeMoments, len(trees), **fields), TreeMoments, device)
+    for level, owner in reversed(_levels(children.numpy().reshape(-1, 8), nodes, chosen)):
+        items = [HostArray((level - nodes[owner]).astype(np.int32)), HostArray(owner.astype(np.int32))]
+        launcher.launch(moments_kernel, len(level), items, [table], device, grain=NODE_GRAIN)
+    return moments, areas
 
 
 def winding_tree_of_mesh(mesh: "wp.Mesh") -> Any:
@@ -63,13 +94,16 @@ def winding_tree_of_mesh(mesh: "wp.Mesh") -> Any:
     return winding
 
 
-def _levels(children: NDArray[np.int32]) -> list[NDArray[np.int32]]:
-    """The inner nodes, grouped by their distance from the root."""
-    levels = []
-    level = np.zeros(1, np.int32)
+def _levels(
+    children: NDArray[np.int32], nodes: NDArray[np.int64], owner: NDArray[np.int64]
+) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """The inner nodes of some trees by their distance from the root, and the tree of each."""
+    level, levels = nodes[owner], []
     while len(level):
-        levels.append(level)
-        below = children[level].ravel()
+        levels.append((level, owner))
+        below = children[level]
         # An absent child has the number of the root, which is never a child.
-        level = below[below > 0]
+        row, lane = np.nonzero(below > 0)
+        owner = owner[row]
+        level = below[row, lane] + nodes[owner]
     return levels

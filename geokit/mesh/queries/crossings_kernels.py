@@ -15,18 +15,10 @@ REGISTERS = 64
 
 
 @wp.kernel(cuda_max_registers=REGISTERS)
-@cpp.native_item("mesh/queries/crossings.inl", "count_crossings", **WALK_CONSTANTS, CROSSINGS=True, UNORDERED=True)
-def count_crossings_kernel(
-    first: int,
-    group: int,
-    origins: wp.array(dtype=wp.vec3d),
-    directions: wp.array(dtype=wp.vec3d),
-    tree: SurfaceTree,
-    t_min: wp.float64,
-    max_distance: wp.float64,
-    out_count: wp.array(dtype=int),
-    out_bad: wp.array(dtype=int),
-): ...
+@cpp.native_item(
+    "mesh/queries/crossings.inl", "count_crossings", SurfaceTree, **WALK_CONSTANTS, CROSSINGS=True, UNORDERED=True
+)
+def count_crossings_kernel(first: int): ...
 
 
 @wp.kernel(cuda_max_registers=REGISTERS)

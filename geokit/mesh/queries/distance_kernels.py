@@ -28,18 +28,8 @@ _CONSTANTS = {
 }
 
 
-@cpp.func_native("mesh/queries/distance.inl", **_CONSTANTS)
-def nearest_pair(
-    item: int,
-    corners: wp.array(dtype=wp.vec3d),
-    slot_triangle: wp.array(dtype=int),
-    tree: SurfaceTree,
-    slot_boxes: wp.array(dtype=wp.float32),
-    unit: wp.float64,
-    limit: wp.float64,
-    out_squared: wp.array(dtype=wp.float64),
-    out_slots: wp.array(dtype=int),
-) -> wp.float64:
+@cpp.func_native("mesh/queries/distance.inl", SurfaceTree, **_CONSTANTS)
+def nearest_pair() -> wp.float64:
     """Write the nearest pair of one item if it is as near as the limit; returns the smaller of both."""
     ...
 
@@ -89,13 +79,5 @@ def nearest_pair_kernel(
 
 
 @wp.kernel
-@cpp.native_item("mesh/queries/distance.inl", "points_of_pair", **_CONSTANTS)
-def points_of_pair_kernel(
-    first: int,
-    corners: wp.array(dtype=wp.vec3d),
-    slot: int,
-    tree: SurfaceTree,
-    other: int,
-    unit: wp.float64,
-    out_points: wp.array(dtype=wp.vec3d),
-): ...
+@cpp.native_item("mesh/queries/distance.inl", "points_of_pair", SurfaceTree, **_CONSTANTS)
+def points_of_pair_kernel(first: int): ...

@@ -29,44 +29,18 @@ PAIR_CONSTANTS = {
 }
 
 
-@cpp.func_native("mesh/queries/intersecting.inl", **BOX_CONSTANTS, **PAIR_CONSTANTS)
-def find_pair(
-    item: int,
-    surface: SurfaceTree,
-    tree: SurfaceTree,
-    slot_boxes: wp.array(dtype=wp.float32),
-    itself: bool,
-    unit: wp.float64,
-    out_found: wp.array(dtype=int),
-): ...
+@cpp.func_native("mesh/queries/intersecting.inl", SurfaceTree, **BOX_CONSTANTS, **PAIR_CONSTANTS)
+def find_pair(): ...
 
 
 @wp.kernel
-@cpp.native_item("mesh/queries/intersecting.inl", "count_pairs", **BOX_CONSTANTS, **PAIR_CONSTANTS)
-def count_pairs_kernel(
-    first: int,
-    surface: SurfaceTree,
-    tree: SurfaceTree,
-    slot_boxes: wp.array(dtype=wp.float32),
-    itself: bool,
-    unit: wp.float64,
-    out_count: wp.array(dtype=wp.int64),
-): ...
+@cpp.native_item("mesh/queries/intersecting.inl", "count_pairs", SurfaceTree, **BOX_CONSTANTS, **PAIR_CONSTANTS)
+def count_pairs_kernel(first: int): ...
 
 
 @wp.kernel
-@cpp.native_item("mesh/queries/intersecting.inl", "fill_pairs", **BOX_CONSTANTS, **PAIR_CONSTANTS)
-def fill_pairs_kernel(
-    first: int,
-    items: wp.array(dtype=int),
-    offsets: wp.array(dtype=wp.int64),
-    surface: SurfaceTree,
-    tree: SurfaceTree,
-    slot_boxes: wp.array(dtype=wp.float32),
-    itself: bool,
-    unit: wp.float64,
-    out_pairs: wp.array(dtype=int),
-):
+@cpp.native_item("mesh/queries/intersecting.inl", "fill_pairs", SurfaceTree, **BOX_CONSTANTS, **PAIR_CONSTANTS)
+def fill_pairs_kernel(first: int):
     """Write the pairs of the items that have any, each item from its offset in the list."""
 
 

@@ -16,28 +16,17 @@ BOX_GAP_ERROR = 3.0e-15
 
 
 @wp.kernel
-@cpp.native_item("mesh/queries/overlaps.inl", "count_overlaps", **BOX_CONSTANTS, BOX_GAP_ERROR=BOX_GAP_ERROR)
-def count_overlaps_kernel(
-    first: int,
-    lower: wp.array(dtype=wp.vec3d),
-    upper: wp.array(dtype=wp.vec3d),
-    tree: SurfaceTree,
-    slot_boxes: wp.array(dtype=wp.float32),
-    out_count: wp.array(dtype=wp.int64),
-): ...
+@cpp.native_item(
+    "mesh/queries/overlaps.inl", "count_overlaps", SurfaceTree, **BOX_CONSTANTS, BOX_GAP_ERROR=BOX_GAP_ERROR
+)
+def count_overlaps_kernel(first: int): ...
 
 
 @wp.kernel
-@cpp.native_item("mesh/queries/overlaps.inl", "list_overlaps", **BOX_CONSTANTS, BOX_GAP_ERROR=BOX_GAP_ERROR)
-def list_overlaps_kernel(
-    first: int,
-    lower: wp.array(dtype=wp.vec3d),
-    upper: wp.array(dtype=wp.vec3d),
-    offsets: wp.array(dtype=wp.int64),
-    tree: SurfaceTree,
-    slot_boxes: wp.array(dtype=wp.float32),
-    out_key: wp.array(dtype=wp.int64),
-): ...
+@cpp.native_item(
+    "mesh/queries/overlaps.inl", "list_overlaps", SurfaceTree, **BOX_CONSTANTS, BOX_GAP_ERROR=BOX_GAP_ERROR
+)
+def list_overlaps_kernel(first: int): ...
 
 
 @wp.kernel

@@ -196,12 +196,8 @@ class PointQueries:
 
         largest = user_arrays.LARGEST_MEASURED
         batch = user_arrays.read_vectors(points, "points", self._device, pin=True, single=True, largest=largest)
-        found = FurthestPoints(
-            points=user_arrays.empty(len(batch), wp.vec3d, batch.rows),
-            distance=user_arrays.empty(len(batch), wp.float64, batch.rows),
-            triangle_id=user_arrays.empty(len(batch), wp.int32, batch.rows),
-        )
-        self._query(furthest_point_kernel, batch.rows, [self._tree], list(found))
+        found = [user_arrays.empty(len(batch), kind, batch.rows) for kind in (wp.vec3d, wp.float64, wp.int32)]
+        self._query(furthest_point_kernel, batch.rows, [self._tree], found)
         return FurthestPoints(*(batch.to_caller(array) for array in found))
 
     def _closest(self, points: Any, max_distance: float, bad: HostArray) -> ClosestPoints:

@@ -16,20 +16,8 @@ wp.set_module_options({"enable_backward": False})
 _CONSTANTS = {**WALK_CONSTANTS, "CROSSINGS": False, "UNDECIDED": UNDECIDED, "LEFT_OVER": LEFT_OVER}
 
 
-@cpp.func_native("mesh/queries/raycast.inl", **_CONSTANTS, UNORDERED=False)
-def cast_rays(
-    begin: int,
-    end: int,
-    origins: wp.array(dtype=wp.vec3d),
-    directions: wp.array(dtype=wp.vec3d),
-    tree: SurfaceTree,
-    t_min: wp.float64,
-    max_distance: wp.float64,
-    out_t: wp.array(dtype=wp.float64),
-    out_triangle_id: wp.array(dtype=int),
-    out_barycentric: wp.array(dtype=wp.vec3d),
-    out_bad: wp.array(dtype=int),
-): ...
+@cpp.func_native("mesh/queries/raycast.inl", SurfaceTree, **_CONSTANTS, UNORDERED=False)
+def cast_rays(): ...
 
 
 @wp.kernel
@@ -50,18 +38,8 @@ def raycast_kernel(
 
 
 @wp.kernel
-@cpp.native_item("mesh/queries/raycast.inl", "test_group", **_CONSTANTS, UNORDERED=True)
-def occluded_kernel(
-    first: int,
-    group: int,
-    origins: wp.array(dtype=wp.vec3d),
-    directions: wp.array(dtype=wp.vec3d),
-    tree: SurfaceTree,
-    t_min: wp.float64,
-    max_distance: wp.float64,
-    out_occluded: wp.array(dtype=wp.bool),
-    out_bad: wp.array(dtype=int),
-): ...
+@cpp.native_item("mesh/queries/raycast.inl", "test_group", SurfaceTree, **_CONSTANTS, UNORDERED=True)
+def occluded_kernel(first: int): ...
 
 
 @wp.kernel

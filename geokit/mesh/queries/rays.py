@@ -7,6 +7,8 @@ from collections.abc import Callable
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from geokit.core import launcher
 from geokit.core.blocks.chunked_queries import Progress, in_chunks
 from geokit.core.interop import user_arrays
@@ -34,7 +36,6 @@ MOST_IN_GROUP = 1024
 GROUPS_PER_THREAD = 8
 # From this many rays on, two launches on a GPU are faster than one.
 FEWEST_IN_PASSES = 1 << 14
-
 
 NAMES = ("origins", "directions")
 # Fewest rays for each of several GPUs: of fewer, first hits take less time than their copies to another one.
@@ -80,6 +81,7 @@ class RayQueries:
     mesh: TriangleMesh
     _device: "wp.Device"
     _frame: Frame
+    _frames: Any
     _tree: Any
 
     @query(
@@ -140,14 +142,14 @@ class RayQueries:
         require_measurable(self.mesh, self._frame)
 
         def query(rays: user_arrays.Batch, heading: user_arrays.Batch) -> RayHits:
-            found = RayHits(*user_arrays.empty_outputs(len(rays), [wp.float64, wp.int32, wp.vec3d], rays.rows))
-            finish = self._begin(raycast_kernel, rays, heading, t_min, max_distance, list(found))
+            found = user_arrays.empty_outputs(len(rays), [wp.float64, wp.int32, wp.vec3d], rays.rows)
+            finish = self._begin(raycast_kernel, rays, heading, t_min, max_distance, found)
             if not rays.is_shared:
                 finish()
-                return RayHits(*(rays.to_caller(array) for array in found))
-            # A GPU is at work meanwhile.
-            answer = RayHits(*(rays.to_caller(array) for array in found))
-            later(finish, self._device)
+            # Of shared rays a GPU is at work meanwhile.
+            answer = RayHits(*map(rays.to_caller, found))
+            if rays.is_shared:
+                later(finish, self._device)
             return answer
 
         return self._in_chunks(query, origins, directions, progress)
@@ -197,13 +199,10 @@ class RayQueries:
         count = self._count_crossings(rays, heading, t_min, max_distance)
         offsets = row_offsets(count)
         total = int(offsets[-1:].numpy()[0])
-        t = user_arrays.empty(total, wp.float64, rays.rows)
-        triangle_id = user_arrays.empty(total, wp.int32, rays.rows)
-        barycentric = user_arrays.empty(total, wp.vec3d, rays.rows)
-        outputs = [t, triangle_id, barycentric]
+        outputs = [user_arrays.empty(total, kind, rays.rows) for kind in (wp.float64, wp.int32, wp.vec3d)]
         self._begin(list_crossings_kernel, rays, heading, t_min, max_distance, outputs, offsets)()
         give = rays.to_lists or rays.to_caller
-        return RayHitLists(give(offsets), give(t), give(triangle_id), give(barycentric))
+        return RayHitLists(give(offsets), *map(give, outputs))
 
     @query("origins", "directions", is_replayed=True, is_stepped=True, least_rows=LEAST_RAYS_ON_GPUS, row_bytes=16)
     def crossing_count(
@@ -289,7 +288,8 @@ class RayQueries:
 
         tree: Any = SurfaceTree()
         tree.assign(self._tree)
-        tree.ray_leaves = ray_leaves(tree)
+        slots = np.array([0, len(tree.slot_triangle)])
+        tree.ray_leaves = ray_leaves(tree.slot_triangle, slots, (tree.corners, tree.leaves), *self._frames)
         return tree
 
     def _count_crossings(

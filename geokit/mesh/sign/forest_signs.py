@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from geokit.core.base.forks import Lock
 from geokit.core.equal_rows import merge_equal_points, repeated_triples
-from geokit.core.memory.struct_array import struct_rows, struct_table
+from geokit.core.memory.struct_array import Parts, struct_rows, struct_table
 from geokit.mesh.model.triangle_mesh import trusted_mesh
 from geokit.mesh.queries.forest_pairs import self_intersecting
 from geokit.mesh.sign.queries import FAR
@@ -188,7 +188,6 @@ class ForestSigns:
         from geokit.mesh.sign.pseudonormals import pseudonormal_tables
         from geokit.mesh.sign.pseudonormals_kernels import Pseudonormals
 
-        forest: Any = self._forest
         whole = trusted_mesh(self._vertices, self._faces, "", ())
         topology = MeshTopology(
             self._corners, self._topology.position_count, collapsed_faces(self._corners), self._topology
@@ -202,9 +201,9 @@ class ForestSigns:
             Pseudonormals,
             self._count,
             vertices=tables.vertices,
-            faces=forest.of_faces(tables.faces, 3),
-            flipped=forest.of_faces(tables.flipped),
-            across=forest.of_faces(tables.across, 3),
-            corner_normal=forest.of_faces(tables.corner_normal, 3),
+            faces=Parts.between(tables.faces, self._begin, 3),
+            flipped=Parts.between(tables.flipped, self._begin),
+            across=Parts.between(tables.across, self._begin, 3),
+            corner_normal=Parts.between(tables.corner_normal, self._begin, 3),
             vertex_normals=tables.vertex_normals,
         )

@@ -12,18 +12,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.core import launcher
-from geokit.core.interop import user_arrays
 from geokit.core.memory.pinned import host_flags
-from geokit.mesh.queries.points import ClosestPoints
 from geokit.mesh.sign.choice import largest_of_each
 
 if TYPE_CHECKING:
-    import warp as wp
-
     from geokit.mesh.surfaces.surface import Surface
 
-__all__ = ["by_other_surface", "left_out_faces"]
+__all__ = ["left_out_faces"]
 
 # Distance of a test point from its face, as a share of the square root of twice the face's area.
 OFF_FACE = 1e-2
@@ -49,18 +44,3 @@ def left_out_faces(surface: Surface) -> NDArray[np.int64]:
     winding = surface._winding(points, host_flags(1, surface._device), surface._winding_arguments_of_all()).numpy()
     within = piece[whole][rows][winding > 0.5]
     return np.asarray(copies[~(whole & np.isin(piece, within))])
-
-
-def by_other_surface(surface: Any, method: str, points: "wp.array", distance: "wp.array", reach: float) -> None:
-    """Negate, in place, the distances of points inside another surface."""
-    import warp as wp
-
-    from geokit.mesh.sign.parity_kernels import take_sign_kernel
-
-    if method == "pseudonormal":
-        found = surface._closest(points, reach, host_flags(1, surface._device))
-    else:
-        nothing: Any = None
-        found = ClosestPoints(nothing, user_arrays.full(len(points), 1.0, wp.float64, points), nothing, nothing)
-    surface._sign(method, points, found, reach)
-    launcher.launch(take_sign_kernel, len(points), [found.distance], [distance], surface._device)

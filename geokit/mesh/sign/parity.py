@@ -1,4 +1,4 @@
-"""Signs by the parity of crossed faces along rays, and signs of points without a triangle within the radius."""
+"""Signs by the parity of crossed faces along rays, and whether points have no triangle within the radius."""
 
 from __future__ import annotations
 
@@ -28,13 +28,6 @@ def any_missed(triangle_id: "wp.array") -> bool:
     found = host_flags(1, triangle_id.device)
     launcher.launch(missed_kernel, len(triangle_id), [triangle_id], [found], triangle_id.device)
     return bool(found.numpy()[0])
-
-
-def missed_by_winding(winding: "wp.array", closest: Any, device: "wp.Device") -> None:
-    """Give the distances of queries without a triangle the sign of their winding numbers."""
-    from geokit.mesh.sign.parity_kernels import missed_sign_kernel
-
-    launcher.launch(missed_sign_kernel, len(winding), [winding, closest.triangle_id], [closest.distance], device)
 
 
 def by_parity(surface: Any, points: "wp.array", distance: "wp.array") -> None:

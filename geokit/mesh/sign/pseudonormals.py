@@ -15,7 +15,7 @@ from geokit.mesh.topology.connectivity import MeshTopology
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["by_pseudonormal", "pseudonormal_tables"]
+__all__ = ["pseudonormal_tables"]
 
 
 def pseudonormal_tables(
@@ -78,20 +78,3 @@ def _vertex_normals(
     launcher.launch(corner_normals_kernel, len(mesh.faces), inputs, [HostArray(weighted)], host)
     at = corners.ravel()
     return np.stack([np.bincount(at, weighted[:, axis], minlength=position_count) for axis in range(3)], axis=1)
-
-
-def by_pseudonormal(found: list[Any], tables: Any, outside: float, distance: "wp.array", device: "wp.Device") -> None:
-    """Negate the distances of inside points in place.
-
-    Args:
-        found: The points, their closest points, triangles and barycentric coordinates.
-        tables: Of the surface.
-        outside: Distance from which on all points are outside; inf for open meshes.
-        distance: The distances.
-        device: The device of the arrays.
-    """
-    import warp as wp
-
-    from geokit.mesh.sign.pseudonormals_kernels import pseudonormal_sign_kernel
-
-    launcher.launch(pseudonormal_sign_kernel, len(distance), [*found, tables, wp.float64(outside)], [distance], device)

@@ -192,12 +192,7 @@ class SignQueries(PointQueries):
         def query(batch: user_arrays.Batch) -> Any:
             count = len(batch)
             bad = host_flags(1, device)
-            if by_closest:
-                found = self._closest(batch.rows, math.inf, bad)
-            else:
-                nothing: Any = None
-                found = ClosestPoints(nothing, user_arrays.full(count, 1.0, wp.float64, batch.rows), nothing, nothing)
-            self._sign(method, batch.rows, found, math.inf)
+            found = self._judged(method, batch.rows, math.inf, bad)
             refuse_raised(bad, batch)
             if isinstance(found.distance, HostArray):  # a launch takes longer than this does for thousands of points
                 return batch.to_caller(user_arrays.mapped(found.distance, lambda distance: distance < 0.0))
@@ -464,30 +459,45 @@ class SignQueries(PointQueries):
 
     def _sign(self, method: str, points: "wp.array", closest: ClosestPoints, reach: float) -> None:
         """Negate the distances of inside points in place; ``reach`` is the search radius."""
+        import warp as wp
+
         from geokit.mesh.sign import parity
-        from geokit.mesh.sign.left_out import by_other_surface
-        from geokit.mesh.sign.pseudonormals import by_pseudonormal
+        from geokit.mesh.sign.parity_kernels import missed_sign_kernel, take_sign_kernel
+        from geokit.mesh.sign.pseudonormals_kernels import pseudonormal_sign_kernel
 
         if self._signs is not self:
-            by_other_surface(self._signs, method, points, closest.distance, reach)
+            judged = self._signs._judged(method, points, reach, host_flags(1, self._device))
+            launcher.launch(take_sign_kernel, len(points), [judged.distance], [closest.distance], self._device)
             return
         if method == "pseudonormal":
-            tables, device = self._pseudonormals, self._device
-            found = [points, closest.points, closest.triangle_id, closest.barycentric]
+            count, device, out = len(points), self._device, [closest.distance]
             # Very far away float64 no longer tells which triangle is closest, and so on which side a point is.
             outside = FAR * self._frame.scale if self.is_closed else math.inf
-            by_pseudonormal(found, tables, outside, closest.distance, device)
+            inputs = [points, closest.points, closest.triangle_id, closest.barycentric, self._pseudonormals]
+            launcher.launch(pseudonormal_sign_kernel, count, [*inputs, wp.float64(outside)], out, device)
             # Without a search radius only points 1e150 away can be misses, and those are outside.
             if reach < math.inf and parity.any_missed(closest.triangle_id):
                 # The search for closest points has already checked for points that are not finite.
                 winding = self._winding(points, host_flags(1, device))
-                parity.missed_by_winding(winding, closest, device)
+                launcher.launch(missed_sign_kernel, count, [winding, closest.triangle_id], out, device)
         elif method == "winding":
             from geokit.mesh.bvh.winding_kernels import sign_kernel
 
             self._query(sign_kernel, points, self._winding_arguments(), [closest.distance])
         else:
             parity.by_parity(self, points, closest.distance)
+
+    def _judged(self, method: str, points: Any, reach: float, bad: HostArray) -> ClosestPoints:
+        """Distances that are negative inside; without closest points where the method needs none."""
+        import warp as wp
+
+        if method == "pseudonormal":
+            found = self._closest(points, reach, bad)
+        else:
+            nothing: Any = None
+            found = ClosestPoints(nothing, user_arrays.full(len(points), 1.0, wp.float64, points), nothing, nothing)
+        self._sign(method, points, found, reach)
+        return found
 
     def _winding(self, points: "wp.array", bad: HostArray, arguments: list[Any] | None = None) -> "wp.array":
         """Winding numbers; ``bad`` is raised if a point is not finite, and such a point has no number."""

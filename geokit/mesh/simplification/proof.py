@@ -26,7 +26,9 @@ class Proof:
         self._original, self._limit, self._oriented = original, limit, oriented
         corners = original.mesh.vertices[original.mesh.faces]
         self._middle = corners.mean(axis=1)
-        self._reach = limit + np.linalg.norm(corners - self._middle[:, None], axis=2).max(axis=1)
+        # Farther from its middle than this is no triangle that proves anything of a face; rounded up.
+        reach = limit + np.linalg.norm(corners - self._middle[:, None], axis=2).max(axis=1)
+        self._reach = (1.0 + 1e-12) * reach
         # Of the last trial: corners of each face of the original that is left, NaN for others; whether each was wrong.
         self._left = np.full(corners.shape, np.nan)
         self._wrong_there = np.ones(len(corners), bool)

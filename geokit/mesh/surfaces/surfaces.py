@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +22,7 @@ from geokit.core.poses.move import move_packed, require_rigid_maps
 from geokit.core.query.ask import query
 from geokit.core.require import described, read_array, require_choice, require_count, require_items
 from geokit.errors import InputError
+from geokit.mesh.bvh.bvh8 import offsets_of
 from geokit.mesh.model.triangle_mesh import TriangleMesh, trusted_mesh
 from geokit.mesh.queries.points import QUERY_GROUP, ClosestPoints, checked_radius, refuse_raised
 from geokit.mesh.queries.rays import RayHits, checked_limits, group_size
@@ -100,12 +100,14 @@ class Surfaces:
                 self._cache.keep("packed", (whole.vertices, whole.faces))
         else:
             self._given = _each(meshes)
-            vertex_begin = _offsets([mesh.vertex_count for mesh in self._given])
-            self._begin = _offsets([mesh.face_count for mesh in self._given])
+            vertex_begin = offsets_of([mesh.vertex_count for mesh in self._given])
+            self._begin = offsets_of([mesh.face_count for mesh in self._given])
             self._vertices = np.concatenate([mesh.vertices for mesh in self._given])
             shift = np.repeat(vertex_begin[:-1], np.diff(self._begin)).astype(np.int32)
             self._faces = np.concatenate([mesh.faces for mesh in self._given]) + shift[:, None]
-        _require_faces(self._begin)
+        none = np.flatnonzero(np.diff(self._begin) == 0)
+        if len(none):
+            raise InputError(f"meshes: mesh {none[0]} has no faces; queries need at least one triangle")
         self._prepare()
 
     def _prepare(self) -> None:
@@ -209,15 +211,7 @@ class Surfaces:
                 a number, a map is not rigid (to 1e-6) or is given beside tensors with gradients, or a mesh is smaller
                 than 1e-70 or larger than 1e70.
         """
-        reach = checked_radius(max_distance)
-        self._require_measurable()
-        maps = self._maps(transform)
-        batch, where, shaped = self._read(points, offsets, "points", maps)
-        bad = host_flags(1, self._device)
-        found = self._closest(batch, where, np.ones(len(self), bool), reach, bad)
-        refuse_raised(bad, batch)
-        found = found._replace(points=_back(found.points, where, maps))
-        return ClosestPoints(*(shaped(batch.to_caller(array)) for array in found))
+        return self._found(points, offsets, None, max_distance, transform)
 
     @query("points", gradient="..queries.gradients:SIGNED_DISTANCE_OF_MANY", row_bytes=124, memory=_sign_bytes)
     def signed_distance(
@@ -243,17 +237,8 @@ class Surfaces:
             InputError: As for :meth:`closest_point`, or there is no such sign.
         """
         require_choice(sign, "sign", SIGN_METHODS)
-        reach = checked_radius(max_distance)
-        self._require_measurable()
-        maps = self._maps(transform)
-        batch, where, shaped = self._read(points, offsets, "points", maps)
-        bad = host_flags(1, self._device)
-        found = self._closest(batch, where, np.ones(len(self), bool), reach, bad)
-        # The other searches take long for a point that is not finite.
-        refuse_raised(bad, batch)
-        self._sign(sign, batch, where, found, reach)
-        outputs = found.distance, _back(found.points, where, maps), found.triangle_id, found.barycentric
-        return SignedDistances(*(shaped(batch.to_caller(array)) for array in outputs))
+        found = self._found(points, offsets, sign, max_distance, transform)
+        return SignedDistances(found.distance, found.points, found.triangle_id, found.barycentric)
 
     @query("points", is_stepped=True, row_bytes=124, memory=_sign_bytes)
     def contains(
@@ -325,8 +310,7 @@ class Surfaces:
         origins, directions = user_arrays.same_rows([origins, directions], ["origins", "directions"])
         rays, where, shaped = self._read(origins, offsets, "origins", maps)
         heading, _, _ = self._read(directions, offsets, "directions", maps, turned=True)
-        kinds = [wp.float64, wp.int32, wp.vec3d]
-        found = RayHits(*(user_arrays.empty(len(rays), kind, rays.rows) for kind in kinds))
+        found = [user_arrays.empty(len(rays), kind, rays.rows) for kind in (wp.float64, wp.int32, wp.vec3d)]
         limits, bad = checked_limits(rays, heading, t_min, max_distance), host_flags(2, self._device)
         group = group_size(len(rays)) if self._device.is_cpu else 1
         trees = self._cache.find("ray trees", lambda: self._structs(True))
@@ -367,6 +351,22 @@ class Surfaces:
             surface = self._own(index)
             require_measurable(surface.mesh, surface._frame)
 
+    def _found(self, points: Any, offsets: Any, sign: str | None, max_distance: float, transform: Any) -> ClosestPoints:
+        """Closest points as callers get them, with distances that a sign method has signed."""
+        reach = checked_radius(max_distance)
+        self._require_measurable()
+        maps = self._maps(transform)
+        batch, where, shaped = self._read(points, offsets, "points", maps)
+        bad = host_flags(1, self._device)
+        found = self._closest(batch, where, np.ones(len(self), bool), reach, bad)
+        # The other searches take long for a point that is not finite.
+        refuse_raised(bad, batch)
+        if sign is not None:
+            self._sign(sign, batch, where, found, reach)
+        if maps is not None:
+            found = found._replace(points=move_packed(found.points, where, maps))
+        return ClosestPoints(*(shaped(batch.to_caller(array)) for array in found))
+
     def _maps(self, transform: Any) -> NDArray[np.float64] | None:
         """Where the meshes are; None if in place."""
         return None if transform is None else require_rigid_maps(transform, len(self))
@@ -382,8 +382,6 @@ class Surfaces:
         defer: bool = True,
     ) -> Any:
         """The rows beside their meshes, the offsets on the device, and what gives results their leading axes."""
-        import warp as wp
-
         count, shaped = len(self), lambda out: out
         if offsets is None:
             if not hasattr(values, "shape"):
@@ -399,8 +397,7 @@ class Surfaces:
         batch = user_arrays.read_vectors(values, name, self._device, defer=defer and maps is None, largest=largest)
         if offsets is not None:
             where = _read_offsets(offsets, count, len(batch), "offsets", name)
-        host = HostArray(where.astype(np.int32))
-        starts = host if self._device.is_cpu else wp.array(host.values, device=self._device)
+        starts = self._on_device(where.astype(np.int32))
         if maps is not None:
             to_meshes: Any = np.linalg.inv(maps)
             batch = replace(batch, rows=move_packed(batch.rows, starts, to_meshes, turned=turned))
@@ -423,14 +420,10 @@ class Surfaces:
         from geokit.mesh.queries.forest_closest_kernels import forest_closest_kernel
 
         count, like = len(batch), batch.rows
-        found = ClosestPoints(
-            points=user_arrays.empty(count, wp.vec3d, like),
-            distance=user_arrays.empty(count, wp.float64, like)
-            if others is None
-            else user_arrays.full(count, others, wp.float64, like),
-            triangle_id=user_arrays.empty(count, wp.int32, like),
-            barycentric=user_arrays.empty(count, wp.vec3d, like),
-        )
+        kinds = (wp.vec3d, wp.float64, wp.int32, wp.vec3d)
+        found = ClosestPoints(*(user_arrays.empty(count, kind, like) for kind in kinds))
+        if others is not None:
+            found = found._replace(distance=user_arrays.full(count, others, wp.float64, like))
         if asked.any():
             group = QUERY_GROUP if self._device.is_cpu else 1
             inputs = [group, where, self._on_device(asked), like, self._trees, wp.float64(reach)]
@@ -487,17 +480,8 @@ class Surfaces:
             surface._sign(surface._method(sign), points[part], closest, reach)
 
 
-def _back(points: Any, where: Any, maps: NDArray[np.float64] | None) -> Any:
-    """Points found on the meshes, where the meshes are."""
-    return points if maps is None else move_packed(points, where, maps)
-
-
 def _restored(meshes: Any, device: str) -> Surfaces:
     return Surfaces(meshes, device=launcher.device_or_default(device))
-
-
-def _offsets(counts: Sequence[int]) -> NDArray[np.int64]:
-    return np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
 
 
 def _each(meshes: Any) -> list[TriangleMesh]:
@@ -505,12 +489,6 @@ def _each(meshes: Any) -> list[TriangleMesh]:
     if not len(given):
         raise InputError("meshes: there are none; give one or more")
     return [require_mesh(mesh, f"meshes[{number}]", images=False) for number, mesh in enumerate(given)]
-
-
-def _require_faces(begin: NDArray[np.int64]) -> None:
-    none = np.flatnonzero(np.diff(begin) == 0)
-    if len(none):
-        raise InputError(f"meshes: mesh {none[0]} has no faces; queries need at least one triangle")
 
 
 def _unpacked(whole: TriangleMesh, offsets: Any) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.int64]]:
@@ -531,13 +509,8 @@ def _read_offsets(offsets: Any, parts: int | None, total: int, name: str, of: st
     with np.errstate(invalid="ignore"):
         begin = found.astype(np.int64) if found.ndim == 1 else np.zeros(0, np.int64)
     fits = len(begin) >= 2 if parts is None else len(begin) == parts + 1
-    if (
-        not fits
-        or not np.array_equal(begin, found)
-        or begin[0] != 0
-        or begin[-1] != total
-        or (np.diff(begin) < 0).any()
-    ):
+    fits = fits and np.array_equal(begin, found) and begin[0] == 0 and begin[-1] == total
+    if not fits or (np.diff(begin) < 0).any():
         many = "B + 1" if parts is None else str(parts + 1)
         raise InputError(f"{name}: {described(offsets)} is not {many} ascending whole numbers from 0 to {total} {of}")
     return begin

@@ -119,12 +119,6 @@ def group_box_kernel(first: int, cloud: SampledCloud):
 
 
 @wp.kernel
-@cpp.native_item("points/clouds/farthest_points.inl", "take_farthest")
-def greedy_kernel(
-    first: int,
-    cloud: SampledCloud,
-    start: wp.array(dtype=wp.int32),
-    count: wp.int32,
-    out_index: wp.array(dtype=wp.int32),
-):
+@cpp.native_item("points/clouds/farthest_points.inl", "take_farthest", SampledCloud)
+def greedy_kernel(first: int):
     """Select ``count`` points; all threads of the single block take part in every step."""

@@ -35,15 +35,8 @@ def count_kernel(
 
 
 @wp.kernel
-@cpp.native_item("points/search/cells_cpu.inl", "place", GATHERED=int(GATHERED))
-def place_kernel(
-    first: int,
-    key: wp.array(dtype=wp.int32),
-    share: wp.int32,
-    cell_count: wp.int32,
-    next_place: wp.array(dtype=wp.int32),
-    out_grid: CellGrid,
-):
+@cpp.native_item("points/search/cells_cpu.inl", "place", CellGrid, GATHERED=int(GATHERED))
+def place_kernel(first: int):
     """Place the points of a share; ``next_place`` is the next free position of the share in each cell."""
 
 

@@ -42,17 +42,8 @@ NUMBERS = {
 
 
 @wp.kernel
-@cpp.native_item("points/search/radius_cpu.inl", "count_share", **NUMBERS)
-def count_share_kernel(
-    first: int,
-    queries: Queries,
-    grid: CellGrid,
-    radius: wp.array(dtype=wp.float64),
-    self_count: wp.int32,
-    note_size: wp.int32,
-    out_count: wp.array(dtype=wp.int32),
-    out_note: wp.array(dtype=wp.int32),
-):
+@cpp.native_item("points/search/radius_cpu.inl", "count_share", Queries, CellGrid, **NUMBERS)
+def count_share_kernel(first: int):
     """Number of neighbors of SHARE queries each, minus ``self_count``.
 
     Each share stores what it finds in ``note_size`` numbers of ``out_note``, as long as there is space.

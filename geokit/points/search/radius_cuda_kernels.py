@@ -25,21 +25,13 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
 @cpp.func_native("points/search/sort_rows.inl")
-def by_distance(
-    begin: wp.int32, count: wp.int32, index: wp.array(dtype=wp.int32), distance: wp.array(dtype=wp.float64)
-):
+def by_distance():
     """Sort ``count`` entries of both arrays from ``begin`` on by ascending (distance, index), in place."""
     ...
 
 
 @cpp.func_native("points/search/sort_rows.inl")
-def sort_together(
-    begin: wp.int32,
-    count: wp.int32,
-    lane: wp.int32,
-    index: wp.array(dtype=wp.int32),
-    distance: wp.array(dtype=wp.float64),
-): ...
+def sort_together(): ...
 
 
 @wp.kernel

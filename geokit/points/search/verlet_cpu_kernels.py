@@ -13,15 +13,6 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
 @wp.kernel
-@cpp.native_item("points/search/verlet_cpu.inl", "list_places", **NUMBERS)
-def list_kernel(
-    first: int,
-    queries: Queries,
-    grid: CellGrid,
-    radius: wp.array(dtype=wp.float64),
-    offset: wp.array(dtype=wp.int64),
-    note_size: wp.int32,
-    note: wp.array(dtype=wp.int32),
-    out_place: wp.array(dtype=wp.int32),
-):
+@cpp.native_item("points/search/verlet_cpu.inl", "list_places", Queries, CellGrid, **NUMBERS)
+def list_kernel(first: int):
     """Candidates of SHARE points each: their places, by ascending rank, which is ``grid.index``."""

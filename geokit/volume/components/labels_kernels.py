@@ -25,13 +25,7 @@ NOT_FIRST = wp.constant(wp.uint64(0xFEFEFEFEFEFEFEFE))
 
 @wp.kernel
 @cpp.native_item("volume/components/labels.inl", "label_row")
-def rows_kernel(
-    first: int,
-    words: wp.array(dtype=wp.uint64),
-    out_links: wp.array(dtype=int),
-    out_first: wp.array(dtype=wp.uint64),
-    out_size: wp.array(dtype=wp.int16),
-):
+def rows_kernel(first: int):
     """Components within each row; bits of their first cells, and at these the numbers of their cells."""
 
 
@@ -173,7 +167,5 @@ def number_firsts_kernel(
 
 @wp.kernel
 @cpp.native_item("volume/components/labels.inl", "name_row")
-def names_kernel(
-    first: int, words: wp.array(dtype=wp.uint64), names: wp.array(dtype=int), out_links: wp.array(dtype=int)
-):
+def names_kernel(first: int):
     """Name of the component of each set cell, 0 for others."""

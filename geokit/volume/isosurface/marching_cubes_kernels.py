@@ -27,14 +27,8 @@ HAS_DEAD = wp.constant(1 << 30)
 COUNT_MASK = wp.constant(0xFFF)
 
 
-@cpp.func_native("volume/isosurface/marching_cubes.inl", END=END)
-def count_plane(
-    cells: Cells,
-    start: wp.array(dtype=int),
-    edges: wp.array(dtype=int),
-    plane: int,
-    records: wp.array(dtype=wp.uint64),
-) -> int:
+@cpp.func_native("volume/isosurface/marching_cubes.inl", Cells, END=END)
+def count_plane() -> int:
     """Counts the vertices and triangles of a plane, with a flag; writes bit masks of its crossed edges."""
     ...
 
@@ -122,16 +116,5 @@ def vertices_kernel(
 
 
 @wp.kernel
-@cpp.native_item("volume/isosurface/marching_cubes.inl", "place_all_triangles", END=END)
-def triangles_kernel(
-    first: int,
-    span: int,
-    cells: Cells,
-    start: wp.array(dtype=int),
-    edges: wp.array(dtype=int),
-    records: wp.array(dtype=wp.uint64),
-    base: wp.array(dtype=int),
-    first_triangle: wp.array(dtype=int),
-    turned: int,
-    out_faces: wp.array(dtype=int),
-): ...
+@cpp.native_item("volume/isosurface/marching_cubes.inl", "place_all_triangles", Cells, END=END)
+def triangles_kernel(first: int): ...

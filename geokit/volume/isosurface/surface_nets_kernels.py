@@ -92,14 +92,5 @@ def vertices_kernel(
 
 
 @wp.kernel
-@cpp.native_item("volume/isosurface/surface_nets.inl", "place_all_quads", **NUMBERS)
-def quads_kernel(
-    first: int,
-    span: int,
-    cells: Cells,
-    nets: Nets,
-    first_quad: wp.array(dtype=int),
-    turned: int,
-    vertex: wp.array(dtype=wp.vec3d),
-    out_faces: wp.array(dtype=int),
-): ...
+@cpp.native_item("volume/isosurface/surface_nets.inl", "place_all_quads", Cells, Nets, **NUMBERS)
+def quads_kernel(first: int): ...

@@ -110,13 +110,5 @@ def spread_distance_kernel(
 
 @wp.kernel
 @cpp.native_item("volume/rays/crossing_blocks.inl", "spread_line", **NUMBERS)
-def spread_lines_kernel(
-    first: int,
-    total: int,
-    stride: int,
-    count: int,
-    length: int,
-    distance: wp.array(dtype=wp.int8),
-    out_distance: wp.array(dtype=wp.int8),
-):
+def spread_lines_kernel(first: int):
     """Does the same as spread_distance_kernel; an item is a line of ``length`` blocks along z."""

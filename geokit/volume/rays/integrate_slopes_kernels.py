@@ -23,36 +23,12 @@ WHOLE = 2.0**39
 LARGEST_RECIPROCAL_BITS = (1023 + 960) << 52
 
 
-@cpp.func_native("volume/rays/integrate_slopes.inl", WHOLE=WHOLE, **NUMBERS)
-def measure_slopes(
-    i: int,
-    field: RayField,
-    emission_volume: wp.uint64,
-    scale: wp.float64,
-    unit: wp.float64,
-    slopes: wp.vec3d,
-    ray: IndexRay,
-    out_along: wp.array(dtype=wp.vec3d),
-    out_lever: wp.array(dtype=wp.vec3d),
-    out_length: wp.array(dtype=wp.vec2d),
-    least: wp.array(dtype=wp.int64),
-    least_light: wp.array(dtype=wp.int64),
-): ...
+@cpp.func_native("volume/rays/integrate_slopes.inl", RayField, IndexRay, WHOLE=WHOLE, **NUMBERS)
+def measure_slopes(): ...
 
 
-@cpp.func_native("volume/rays/integrate_slopes.inl", WHOLE=WHOLE, **NUMBERS)
-def add_slopes(
-    field: RayField,
-    emission_volume: wp.uint64,
-    scale: wp.float64,
-    unit: wp.float64,
-    slopes: wp.vec3d,
-    ray: IndexRay,
-    least: wp.array(dtype=wp.float64),
-    least_light: wp.array(dtype=wp.float64),
-    sums: wp.array(dtype=wp.int64),
-    sums_light: wp.array(dtype=wp.int64),
-): ...
+@cpp.func_native("volume/rays/integrate_slopes.inl", RayField, IndexRay, WHOLE=WHOLE, **NUMBERS)
+def add_slopes(): ...
 
 
 @wp.kernel

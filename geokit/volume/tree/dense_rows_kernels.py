@@ -13,10 +13,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 
 @cpp.func_native("volume/tree/dense_rows.inl")
-def copy_float_run(
-    volume: wp.uint64, node: wp.uint64, i: int, j: int, k: int, count: int, out_values: wp.array(dtype=wp.float32),
-    to: wp.int64,
-):  # fmt: skip
+def copy_float_run():  # fmt: skip
     """Copies ``count`` voxels along z, all in the leaf or tile that node_of found for the first."""
     ...
 

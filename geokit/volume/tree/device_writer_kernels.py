@@ -108,12 +108,5 @@ def link_kernel(
 
 @wp.kernel
 @cpp.native_item("volume/tree/device_writer.inl", "copy_plane")
-def copy_leaves_kernel(
-    first: int,
-    begin: wp.int64,
-    order: wp.array(dtype=int),
-    values: wp.array(dtype=int),
-    masks: wp.array(dtype=wp.uint64),
-    out_buffer: wp.array(dtype=wp.uint8),
-):
+def copy_leaves_kernel(first: int):
     """Copies a plane of a leaf's values (as bits) and of its mask, from rows in another order."""

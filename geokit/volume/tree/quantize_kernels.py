@@ -14,28 +14,11 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll":
 
 @wp.kernel
 @cpp.native_item("volume/tree/quantize.inl", "fewest_bits")
-def bits_kernel(
-    first: int,
-    source: wp.array(dtype=wp.uint8),
-    starts: wp.array(dtype=wp.int64),
-    tolerance: wp.array(dtype=wp.float64),
-    rounding: wp.array(dtype=wp.float32),
-    out_bits: wp.array(dtype=wp.uint8),
-):
+def bits_kernel(first: int):
     """Smallest width in bits that keeps a leaf's error within its tolerance, 16 if none does."""
 
 
 @wp.kernel
 @cpp.native_item("volume/tree/quantize.inl", "write_leaf")
-def encode_kernel(
-    first: int,
-    source: wp.array(dtype=wp.uint8),
-    starts: wp.array(dtype=wp.int64),
-    bits: wp.array(dtype=wp.uint8),
-    flags: wp.array(dtype=wp.uint8),
-    rounding: wp.array(dtype=wp.float32),
-    places: wp.array(dtype=wp.int64),
-    target: wp.array(dtype=wp.uint8),
-    out_measures: wp.array(dtype=wp.vec3d),
-):
+def encode_kernel(first: int):
     """Writes leaves; ``measures`` holds the largest error and the smallest and largest active value of each."""
