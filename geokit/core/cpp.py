@@ -104,7 +104,7 @@ def _complete(declaration: Any, file: str, function: str, structs: tuple[Any, ..
     parameters = [*own.parameters.values()]
     if [*own.parameters] not in ([], ["first"]):
         return
-    head = re.search(rf"^static constexpr auto {function} = \[\]\((.*?)\)", _read(file), re.DOTALL | re.MULTILINE)
+    head = re.search(rf"^static constexpr auto {function} =\s+\[\]\((.*?)\)", _read(file), re.DOTALL | re.MULTILINE)
     assert head, f"{file}: there is no {function}"
     known = _TYPES | {struct.key: struct for struct in structs}
     for text in head[1].split(",")[len(parameters) :]:

@@ -31,7 +31,6 @@ def any_hit_kernel(
     tree: SurfaceTree,
     t_min: wp.float64,
     max_distance: wp.float64,
-    wide: wp.array(dtype=int),
     out_occluded: wp.array(dtype=wp.bool),
     out_bad: wp.array(dtype=int),
 ):
@@ -41,37 +40,6 @@ def any_hit_kernel(
     direction = directions[ray]
     largest = wp.max(wp.max(wp.abs(direction[0]), wp.abs(direction[1])), wp.abs(direction[2]))
     if is_usable(start, direction, largest, wp.float64(SHORTEST_DIRECTION)):
-        any_hit(tree, wide, start, direction, t_min, length_in_t(max_distance, direction), ray, out_occluded, out_bad)
+        any_hit(tree, start, direction, t_min, length_in_t(max_distance, direction), ray, out_occluded, out_bad)
     else:
         out_bad[0] = 1  # the host rejects the whole batch and names the row
-
-
-@wp.kernel
-def area_kernel(first: int, corners: wp.array(dtype=wp.vec3d), out_area: wp.array(dtype=wp.float64)):
-    """Twice the area of the triangle in each slot [world^2]."""
-    slot = first + wp.tid()
-    a = corners[3 * slot]
-    out_area[slot] = wp.length(wp.cross(corners[3 * slot + 1] - a, corners[3 * slot + 2] - a))
-
-
-@wp.kernel
-def mark_wide_kernel(first: int, area: wp.array(dtype=wp.float64), least: wp.float64, out_is_wide: wp.array(dtype=int)):
-    """1 for slots whose triangle has at least so much area, else 0."""
-    slot = first + wp.tid()
-    out_is_wide[slot] = wp.where(area[slot] >= least, 1, 0)
-
-
-@wp.kernel
-def list_wide_kernel(
-    first: int,
-    area: wp.array(dtype=wp.float64),
-    is_wide: wp.array(dtype=int),
-    place: wp.array(dtype=int),
-    out_slot: wp.array(dtype=int),
-    out_area: wp.array(dtype=wp.float64),
-):
-    """The marked slots and their areas, at their places (counted from one)."""
-    slot = first + wp.tid()
-    if is_wide[slot] != 0:
-        out_slot[place[slot] - 1] = slot
-        out_area[place[slot] - 1] = area[slot]

@@ -11,9 +11,9 @@ struct alignas(16) Four {
 };
 
 // The candidates' slots, with the bit IS_SLIVER, up to NO_CANDIDATE. found[0] is UNDECIDED where they do not fit or the
-// ray starts too far away for float32, and SURE where the ray hits something. `wide` are the slots of wide triangles.
-static constexpr auto find_candidates = [](const SurfaceTree& tree, const int* wide, int wide_count, const point& start,
-                                           const point& direction, double t_min, double t_max, int* found) {
+// ray starts too far away for float32, and SURE where the ray hits something.
+static constexpr auto find_candidates = [](const SurfaceTree& tree, const point& start, const point& direction,
+                                           double t_min, double t_max, int* found) {
 #if !defined(__CUDA_ARCH__)
     // Warp's CPU compiler has these only as built-ins; tests run this search on a CPU.
     auto fminf = [](float a, float b) { return __builtin_fminf(a, b); };
@@ -116,7 +116,7 @@ static constexpr auto find_candidates = [](const SurfaceTree& tree, const int* w
         if (!ANY_HIT) nearest_of[count - 1] = (depth - PLANE_MARGIN) / down * 0.999999f;
     };
     if (ANY_HIT) {
-        for (int k = 0; k < wide_count && !sure; ++k) test(wide[k]);
+        for (int k = 0; k < tree.wide.shape[0] && !sure; ++k) test(tree.wide.data[k]);
         if (sure) {
             found[0] = SURE;
             return;
@@ -162,7 +162,7 @@ static constexpr auto first_hit = [](const SurfaceTree& tree, const point& start
                                      wp::array_t<int>& out_triangle_id, wp::array_t<wp::vec3d>& out_barycentric,
                                      wp::array_t<int>& out_bad) {
     int found[CANDIDATES];
-    find_candidates(tree, nullptr, 0, start, direction, t_min, t_max, found);
+    find_candidates(tree, start, direction, t_min, t_max, found);
     if (found[0] == UNDECIDED) {
         out_triangle_id.data[ray] = UNDECIDED;
         out_bad.data[1] = 1;
@@ -192,11 +192,10 @@ static constexpr auto first_hit = [](const SurfaceTree& tree, const point& start
 };
 
 // Decides in float64 whether a ray hits one of its candidates.
-static constexpr auto any_hit = [](const SurfaceTree& tree, const wp::array_t<int>& wide, const point& start,
-                                   const point& direction, double t_min, double t_max, int ray,
-                                   wp::array_t<bool>& out_occluded, wp::array_t<int>& out_bad) {
+static constexpr auto any_hit = [](const SurfaceTree& tree, const point& start, const point& direction, double t_min,
+                                   double t_max, int ray, wp::array_t<bool>& out_occluded, wp::array_t<int>& out_bad) {
     int found[CANDIDATES];
-    find_candidates(tree, wide.data, wide.shape[0], start, direction, t_min, t_max, found);
+    find_candidates(tree, start, direction, t_min, t_max, found);
     if (found[0] == UNDECIDED) {
         ((unsigned char*)out_occluded.data)[ray] = LEFT_OVER;
         out_bad.data[1] = 1;

@@ -8,6 +8,7 @@ import warp as wp
 from geokit.mesh.bvh.bvh2_packed_cuda_kernels import NODE_CONSTANTS
 from geokit.mesh.bvh.bvh8_build_cpu_kernels import STACK
 from geokit.mesh.bvh.bvh8_leaves_cpu_kernels import HEAD, LEAF_WORDS, SLIVER
+from geokit.mesh.bvh.leaf_planes_kernels import PLANE_ROWS
 
 wp.set_module_options({"enable_backward": False})
 
@@ -23,6 +24,10 @@ RAY_PADDING = 2.0 * BOX_MARGIN
 # Rounding error of a point on the ray in a triangle's own frame, whose axes are rounded too; see DISTANCE_ERROR. The
 # length of a ray has the same slack.
 PLANE_MARGIN = 8.0e-6
+# The same for hits that float64 need not decide: over twice the worst case, see surely_hit in ray_walk_cpu.inl. And how
+# far out such rays may start: farther ones have fewer digits.
+SURE_MARGIN = 4.0e-5
+SURE_START = 1.0e6
 # Length of rays without an end, in local units.
 ENDLESS = 1.0e30
 # Smaller direction components (relative to the largest) count as this: their reciprocals must not overflow.
@@ -49,6 +54,9 @@ WALK_CONSTANTS = {
     "BOX_MARGIN": np.float32(BOX_MARGIN),
     "IN_FLIGHT": IN_FLIGHT,
     "AHEAD": AHEAD,
+    "PLANE_ROWS": PLANE_ROWS,
+    "SURE_MARGIN": np.float32(SURE_MARGIN),
+    "SURE_START": SURE_START,
     "STACK": STACK,
 }
 

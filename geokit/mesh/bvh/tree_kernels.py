@@ -45,6 +45,8 @@ class SurfaceTree:
     leaves: wp.array(dtype=wp.float32)
     # The leaves for rays, on the CPU only: LEAF_WORDS words per block; see bvh8_leaves_cpu.inl.
     ray_leaves: wp.array(dtype=wp.float32)
+    # For any hits only: slots of the few triangles that hold much of the area, the widest first.
+    wide: wp.array(dtype=int)
 
 
 @wp.kernel
@@ -74,3 +76,35 @@ def leaf_order_kernel(first: int, mesh: wp.uint64, out_slot_triangle: wp.array(d
     """The triangles of a warp Mesh in the order of its leaves."""
     slot = first + wp.tid()
     out_slot_triangle[slot] = triangle_in_leaf_order(mesh, slot)
+
+
+@wp.kernel
+def area_kernel(first: int, corners: wp.array(dtype=wp.vec3d), out_area: wp.array(dtype=wp.float64)):
+    """Twice the area of the triangle in each slot [world^2]; 0 for empty slots."""
+    slot = first + wp.tid()
+    a = corners[3 * slot]
+    area = wp.length(wp.cross(corners[3 * slot + 1] - a, corners[3 * slot + 2] - a))
+    out_area[slot] = wp.max(area, wp.float64(0.0))
+
+
+@wp.kernel
+def mark_wide_kernel(first: int, area: wp.array(dtype=wp.float64), least: wp.float64, out_is_wide: wp.array(dtype=int)):
+    """1 for slots whose triangle has at least so much area, else 0."""
+    slot = first + wp.tid()
+    out_is_wide[slot] = wp.where(area[slot] >= least, 1, 0)
+
+
+@wp.kernel
+def list_wide_kernel(
+    first: int,
+    area: wp.array(dtype=wp.float64),
+    is_wide: wp.array(dtype=int),
+    place: wp.array(dtype=int),
+    out_slot: wp.array(dtype=int),
+    out_area: wp.array(dtype=wp.float64),
+):
+    """The marked slots and their areas, at their places (counted from one)."""
+    slot = first + wp.tid()
+    if is_wide[slot] != 0:
+        out_slot[place[slot] - 1] = slot
+        out_area[place[slot] - 1] = area[slot]

@@ -22,18 +22,7 @@ def count_crossings_kernel(first: int): ...
 
 
 @wp.kernel(cuda_max_registers=REGISTERS)
-@cpp.native_item("mesh/queries/crossings.inl", "list_crossings", **WALK_CONSTANTS, CROSSINGS=True, UNORDERED=True)
-def list_crossings_kernel(
-    first: int,
-    group: int,
-    origins: wp.array(dtype=wp.vec3d),
-    directions: wp.array(dtype=wp.vec3d),
-    offsets: wp.array(dtype=wp.int64),
-    tree: SurfaceTree,
-    t_min: wp.float64,
-    max_distance: wp.float64,
-    out_t: wp.array(dtype=wp.float64),
-    out_triangle_id: wp.array(dtype=int),
-    out_barycentric: wp.array(dtype=wp.vec3d),
-    out_bad: wp.array(dtype=int),
-): ...
+@cpp.native_item(
+    "mesh/queries/crossings.inl", "list_crossings", SurfaceTree, **WALK_CONSTANTS, CROSSINGS=True, UNORDERED=True
+)
+def list_crossings_kernel(first: int): ...

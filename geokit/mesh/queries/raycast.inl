@@ -60,8 +60,8 @@ static constexpr auto test_group = [](int item, int group, const wp::array_t<wp:
 };
 static constexpr auto test_left_over = [](int ray, const wp::array_t<wp::vec3d>& origins,
                                           const wp::array_t<wp::vec3d>& directions, const SurfaceTree& tree,
-                                          double t_min, double max_distance, const wp::array_t<int>&,
-                                          wp::array_t<bool>& out_occluded, wp::array_t<int>& out_bad) {
+                                          double t_min, double max_distance, wp::array_t<bool>& out_occluded,
+                                          wp::array_t<int>& out_bad) {
     if (((const unsigned char*)out_occluded.data)[ray] == LEFT_OVER)
         test_group(ray, 1, origins, directions, tree, t_min, max_distance, out_occluded, out_bad);
 };

@@ -21,20 +21,8 @@ def cast_rays(): ...
 
 
 @wp.kernel
-@cpp.native_item("mesh/queries/raycast.inl", "cast_group", **_CONSTANTS, UNORDERED=False)
-def raycast_kernel(
-    first: int,
-    group: int,
-    origins: wp.array(dtype=wp.vec3d),
-    directions: wp.array(dtype=wp.vec3d),
-    tree: SurfaceTree,
-    t_min: wp.float64,
-    max_distance: wp.float64,
-    out_t: wp.array(dtype=wp.float64),
-    out_triangle_id: wp.array(dtype=int),
-    out_barycentric: wp.array(dtype=wp.vec3d),
-    out_bad: wp.array(dtype=int),
-): ...
+@cpp.native_item("mesh/queries/raycast.inl", "cast_group", SurfaceTree, **_CONSTANTS, UNORDERED=False)
+def raycast_kernel(first: int): ...
 
 
 @wp.kernel
@@ -43,33 +31,12 @@ def occluded_kernel(first: int): ...
 
 
 @wp.kernel
-@cpp.native_item("mesh/queries/raycast.inl", "cast_undecided", **_CONSTANTS, UNORDERED=False)
-def raycast_undecided_kernel(
-    first: int,
-    origins: wp.array(dtype=wp.vec3d),
-    directions: wp.array(dtype=wp.vec3d),
-    tree: SurfaceTree,
-    t_min: wp.float64,
-    max_distance: wp.float64,
-    out_t: wp.array(dtype=wp.float64),
-    out_triangle_id: wp.array(dtype=int),
-    out_barycentric: wp.array(dtype=wp.vec3d),
-    out_bad: wp.array(dtype=int),
-):
+@cpp.native_item("mesh/queries/raycast.inl", "cast_undecided", SurfaceTree, **_CONSTANTS, UNORDERED=False)
+def raycast_undecided_kernel(first: int):
     """Second pass on CUDA, for the rays that the candidate search left undecided."""
 
 
 @wp.kernel
-@cpp.native_item("mesh/queries/raycast.inl", "test_left_over", **_CONSTANTS, UNORDERED=True)
-def occluded_left_over_kernel(
-    first: int,
-    origins: wp.array(dtype=wp.vec3d),
-    directions: wp.array(dtype=wp.vec3d),
-    tree: SurfaceTree,
-    t_min: wp.float64,
-    max_distance: wp.float64,
-    wide: wp.array(dtype=int),
-    out_occluded: wp.array(dtype=wp.bool),
-    out_bad: wp.array(dtype=int),
-):
+@cpp.native_item("mesh/queries/raycast.inl", "test_left_over", SurfaceTree, **_CONSTANTS, UNORDERED=True)
+def occluded_left_over_kernel(first: int):
     """The same for any hits."""

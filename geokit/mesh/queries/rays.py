@@ -15,8 +15,9 @@ from geokit.core.interop import user_arrays
 from geokit.core.interop.types import Array, Rows
 from geokit.core.launches.late_checks import later
 from geokit.core.memory.pinned import host_flags
+from geokit.core.memory.unchecked import allocating
 from geokit.core.query.ask import query
-from geokit.core.scan import row_offsets
+from geokit.core.scan import prefix_sum, row_offsets
 from geokit.errors import InputError
 from geokit.mesh.topology.size_limits import require_measurable
 
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from geokit.core.frame import Frame
     from geokit.mesh.model.triangle_mesh import TriangleMesh
 
-__all__ = ["RayHitLists", "RayHits", "RayQueries", "checked_limits", "group_size"]
+__all__ = ["RayHitLists", "RayHits", "RayQueries", "checked_limits", "group_size", "wide_slots"]
 
 # Rays per thread on a CPU, where many are in flight at once. In small groups, finished rays find no successors; with
 # large ones, threads wait for the last group. On a GPU each ray has its own thread.
@@ -40,6 +41,11 @@ FEWEST_IN_PASSES = 1 << 14
 NAMES = ("origins", "directions")
 # Fewest rays for each of several GPUs: of fewer, first hits take less time than their copies to another one.
 LEAST_RAYS_ON_GPUS = 1 << 22
+# Triangles that any hits test before the tree, at most, and the share of the area that they need to hold together.
+MOST_WIDE = 32
+WIDE_SHARE = 0.15
+# Only triangles with this share of the area count.
+LEAST_SHARE = 1.0 / 256.0
 
 # A kernel, its number of items, and its inputs.
 _Launch = tuple[Any, int, list[Any]]
@@ -270,7 +276,7 @@ class RayQueries:
 
         def query(rays: user_arrays.Batch, heading: user_arrays.Batch) -> Any:
             occluded = user_arrays.empty(len(rays), wp.bool, rays.rows)
-            self._begin(occluded_kernel, rays, heading, t_min, max_distance, [occluded])()
+            self._begin(occluded_kernel, rays, heading, t_min, max_distance, [occluded], tree=self._any_hit_tree)()
             return rays.to_caller(occluded)
 
         return self._in_chunks(query, origins, directions, progress)
@@ -290,6 +296,16 @@ class RayQueries:
         tree.assign(self._tree)
         slots = np.array([0, len(tree.slot_triangle)])
         tree.ray_leaves = ray_leaves(tree.slot_triangle, slots, (tree.corners, tree.leaves), *self._frames)
+        return tree
+
+    @cached_property
+    def _any_hit_tree(self) -> Any:
+        """The same with the slots of the widest triangles, which any hits test first."""
+        from geokit.mesh.bvh.tree_kernels import SurfaceTree
+
+        tree: Any = SurfaceTree()
+        tree.assign(self._ray_tree)
+        tree.wide = wide_slots(tree.corners)
         return tree
 
     def _count_crossings(
@@ -315,6 +331,7 @@ class RayQueries:
         max_distance: float,
         outputs: list[Any],
         *streams: "wp.array",
+        tree: Any = None,
     ) -> Callable[[], None]:
         """Launch the kernel; the function that is returned waits for it and casts what it left undecided."""
         from geokit.mesh.bvh.ray_walk_kernels import SHORTEST_DIRECTION
@@ -322,7 +339,7 @@ class RayQueries:
         start, reach = checked_limits(rays, heading, t_min, max_distance)
         bad = host_flags(2, self._device)  # [0]: a ray is invalid; [1]: some rays are undecided
         count = len(rays)
-        shared = [rays.rows, heading.rows, *streams, self._ray_tree, start, reach]
+        shared = [rays.rows, heading.rows, *streams, tree or self._ray_tree, start, reach]
         group = group_size(count) if self._device.is_cpu else 1
         whole = kernel, -(-count // group), [group, *shared]
         in_passes = self._tree.mesh and count >= FEWEST_IN_PASSES
@@ -348,15 +365,8 @@ class RayQueries:
         if whole[0] is raycast_kernels.occluded_kernel:
             from geokit.mesh.bvh.bvh2_any_hit_cuda_kernels import any_hit_kernel
 
-            shared = [*shared, self._wide_slots]
             return (any_hit_kernel, count, shared), (raycast_kernels.occluded_left_over_kernel, count, shared)
         return whole, None
-
-    @cached_property
-    def _wide_slots(self) -> "wp.array":
-        from geokit.mesh.bvh.bvh2_packed import wide_slots
-
-        return wide_slots(self._tree.corners)
 
 
 def checked_limits(
@@ -372,3 +382,31 @@ def group_size(count: int) -> int:
     """Rays per thread on a CPU."""
     size = count // (GROUPS_PER_THREAD * launcher.thread_count())
     return min(max(size, FEWEST_IN_GROUP), MOST_IN_GROUP)
+
+
+def wide_slots(corners: "wp.array") -> "wp.array":
+    """Slots of the few triangles that hold much of the area, the widest first, int32; none where there are no such.
+
+    Args:
+        corners: World corners of the triangle in each slot, three per slot.
+    """
+    import warp as wp
+
+    from geokit.mesh.bvh import tree_kernels as kernels
+
+    device, slots = corners.device, len(corners) // 3
+    area = wp.empty(slots, dtype=wp.float64, device=device)
+    launcher.launch(kernels.area_kernel, slots, [corners], [area], device)
+    with allocating(device, slots):
+        whole = float(wp.utils.array_sum(area))
+    is_wide = wp.empty(slots, dtype=wp.int32, device=device)
+    launcher.launch(kernels.mark_wide_kernel, slots, [area, wp.float64(LEAST_SHARE * whole)], [is_wide], device)
+    place, count = prefix_sum(is_wide)
+    if not (whole > 0.0 and count > 0):
+        return wp.empty(0, dtype=wp.int32, device=device)
+    found = [wp.empty(count, dtype=kind, device=device) for kind in (wp.int32, wp.float64)]
+    launcher.launch(kernels.list_wide_kernel, slots, [area, is_wide, place], found, device)
+    some, areas = (array.numpy() for array in found)
+    widest = np.argsort(-areas, kind="stable")[:MOST_WIDE]
+    chosen = some[widest] if areas[widest].sum() >= WIDE_SHARE * whole else some[:0]
+    return wp.array(chosen, dtype=wp.int32, device=device)

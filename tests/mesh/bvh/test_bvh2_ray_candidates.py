@@ -11,8 +11,9 @@ from benchmarks.catalog import mesh_catalog
 from geokit.core import launcher
 from geokit.mesh.bvh import bvh2_ray_candidates_cuda_kernels as kernels
 from geokit.mesh.bvh.bvh2_any_hit_cuda_kernels import any_hit_kernel
-from geokit.mesh.bvh.tree_kernels import LEFT_OVER
+from geokit.mesh.bvh.tree_kernels import LEFT_OVER, SurfaceTree
 from geokit.mesh.queries.raycast_kernels import occluded_left_over_kernel
+from geokit.mesh.queries.rays import wide_slots
 
 
 def in_passes(surface, origins, directions, t_min=0.0, max_distance=np.inf):
@@ -86,8 +87,10 @@ def any_hits(surface, origins, directions, t_min=0.0, max_distance=np.inf, wide=
     count, device = len(origins), surface._device
     bad, found = (wp.zeros(n, dtype=kind, device=device) for n, kind in ((2, wp.int32), (count, wp.bool)))
     rays = [wp.array(a, dtype=wp.vec3d, device=device) for a in (origins, directions)]
-    wide = surface._wide_slots if wide is None else wp.array(wide, dtype=wp.int32, device=device)
-    shared = [*rays, surface._tree, wp.float64(t_min), wp.float64(max_distance), wide]
+    tree = SurfaceTree()
+    tree.assign(surface._tree)
+    tree.wide = wide_slots(tree.corners) if wide is None else wp.array(wide, dtype=wp.int32, device=device)
+    shared = [*rays, tree, wp.float64(t_min), wp.float64(max_distance)]
     launcher.launch(any_hit_kernel, count, shared, [found, bad], device)
     assert not bad.numpy()[0]
     left = found.numpy().view(np.uint8) == LEFT_OVER
@@ -152,12 +155,12 @@ def test_the_widest_triangles_of_a_hall_and_of_a_scan():
         np.concatenate([each.faces + 8 * k for k, each in enumerate((hall, *crates))]),
     )
     surface = on_warp_tree(mesh)
-    slots = surface._wide_slots.numpy()
+    slots = wide_slots(surface._tree.corners).numpy()
     triangles = surface._tree.slot_triangle.numpy()[slots]
     assert sorted(triangles) == list(range(12))
     corners = mesh.vertices[mesh.faces[triangles]]
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     assert (np.diff(areas) <= 0.0).all()
-    assert len(on_warp_tree(mesh_catalog.torus())._wide_slots) == 0
+    assert len(wide_slots(on_warp_tree(mesh_catalog.torus())._tree.corners)) == 0
     flat = gk.mesh.TriangleMesh([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]])
-    assert len(on_warp_tree(flat)._wide_slots) == 0
+    assert len(wide_slots(on_warp_tree(flat)._tree.corners)) == 0
