@@ -16,6 +16,9 @@ __all__ = ["root_keys_of", "root_spans", "with_gaps"]
 LARGEST_GAP_TILES = 1 << 16
 # Bits of a coordinate in the key of a root entry.
 ROOT_BITS = 20
+# For each corner of a box, which end it has along each axis; the box of nothing.
+_CORNERS = np.indices((2, 2, 2)).reshape(3, -1)
+_NO_BOX = np.repeat([np.finfo(np.float64).max, np.finfo(np.float64).min], 3)
 
 
 def root_keys_of(voxels: NDArray[Any]) -> NDArray[np.uint64]:
@@ -66,12 +69,10 @@ def root_spans(grids: NDArray[Any], boxes: NDArray[np.int32]) -> None:
         grids: The headers, of type GRID_DATA.
         boxes: First and last active voxels (N, 2, 3), in reverse order if there are none.
     """
-    limits = np.finfo(np.float64)
-    grids["world_bbox"] = [limits.max] * 3 + [limits.min] * 3
+    grids["world_bbox"] = _NO_BOX
     some = np.flatnonzero(boxes[:, 0, 0] <= boxes[:, 1, 0])
     ends = boxes[some].astype(np.float64) + np.array([[0.0], [1.0]])
-    corner = np.array(np.meshgrid(*3 * [[0, 1]], indexing="ij")).reshape(3, -1)
-    corners = ends[:, corner, np.arange(3)[:, None]]
+    corners = ends[:, _CORNERS, np.arange(3)[:, None]]
     world = grids["matrix"][some].reshape(-1, 3, 3) @ corners + grids["vector"][some, :, None]
     grids["world_bbox"][some] = np.concatenate([world.min(axis=2), world.max(axis=2)], axis=1)
     grids["flags"][some] |= FLAG_HAS_BBOX

@@ -109,17 +109,16 @@ def reduced(items: Items, parent: NDArray[np.int64], count: int) -> Items:
     used = np.flatnonzero(items.some())
     if not len(used):
         return out
-    for order, column, source, key_column, key in (
-        (np.lexsort((items.low_key[used], parent[used])), out.low, items.low, out.low_key, items.low_key),
-        (np.lexsort((_turned(items.high_key[used]), parent[used])), out.high, items.high, out.high_key, items.high_key),
-    ):
-        rows = used[order]
-        nodes, starts = np.unique(parent[rows], return_index=True)
-        column[nodes] = source[rows[starts]]
-        if key_column is not column:
-            key_column[nodes] = key[rows[starts]]
-        out.boxes[nodes, 0] = np.minimum.reduceat(items.boxes[rows, 0], starts)
-        out.boxes[nodes, 1] = np.maximum.reduceat(items.boxes[rows, 1], starts)
+    parent = parent[used]
+    rows = used[np.lexsort((items.low_key[used], parent))]
+    most = used[np.lexsort((_turned(items.high_key[used]), parent))]
+    nodes, counts = np.unique(parent, return_counts=True)
+    starts = np.cumsum(counts) - counts
+    out.boxes[nodes, 0] = np.minimum.reduceat(items.boxes[rows, 0], starts)
+    out.boxes[nodes, 1] = np.maximum.reduceat(items.boxes[rows, 1], starts)
+    low[nodes], high[nodes] = items.low[rows[starts]], items.high[most[starts]]
+    if keys[0] is not low:
+        keys[0][nodes], keys[1][nodes] = items.low_key[rows[starts]], items.high_key[most[starts]]
     return out
 
 

@@ -31,12 +31,12 @@ from geokit.volume.nanovdb.header import (
     info_of,
 )
 from geokit.volume.nanovdb.header_options import write_header
-from geokit.volume.nanovdb.layout import ALIGNMENT, GRID_TYPES, LAYOUTS, GridLayout
-from geokit.volume.nanovdb.nodes import NodeLevel, grid_nodes, root_origins, slot_of, slot_places
+from geokit.volume.nanovdb.layout import ALIGNMENT, GRID_TYPES, LAYOUTS
+from geokit.volume.nanovdb.nodes import NodeLevel, grid_nodes, root_origins, set_bits, slot_of, slot_places
 from geokit.volume.tree.grid_head import GridHead, head_like
 from geokit.volume.tree.root_table import root_keys_of, root_spans
 from geokit.volume.tree.statistics import Items, add_items, items_of_leaves, items_of_tiles, reduced
-from geokit.volume.tree.typed_tree import TypedTree, differs, rows_in, tree_of
+from geokit.volume.tree.typed_tree import TypedTree, differs, tree_of
 
 __all__ = ["WIDENED", "Tiles", "build_grid", "build_grids", "rebuilt", "widened"]
 
@@ -45,10 +45,6 @@ WIDENED = ("int16", "uint8")
 
 # Leaves that a thread processes at a time: 256 of them are half a megabyte of floats, which stays in the cache.
 LEAVES_AT_A_TIME = 256
-
-
-# First voxels (N, 3) of nodes, and a value (1,) or values (slots,) for the tiles of each.
-Fills = Sequence[tuple[NDArray[np.int32], NDArray[Any]]]
 
 
 class Tiles(NamedTuple):
@@ -69,24 +65,24 @@ class _Nodes:
     """Nodes of one level of all grids: their heads (tables left out), and what stands in their slots.
 
     Attributes:
-        origins: First voxel of each node.
         heads: Bytes of each node before its table.
         children: Slot of each child, in the order of the level below.
         child_node: Node of each child.
         tile_ends: Tiles of the nodes up to each node.
         tiles: Slot and value of each tile.
+        fills: Rows of nodes, and values (N, slots), or (N, 1), that stand in their slots before tiles and children.
         items: Boxes and extrema.
-        tile_counts: Active tiles of each grid.
+        active: Node of each active tile.
     """
 
-    origins: NDArray[np.int32]
     heads: NDArray[np.uint8]
     children: NDArray[np.int64]
     child_node: NDArray[np.int64]
     tile_ends: NDArray[np.int64]
     tiles: tuple[NDArray[np.int64], NDArray[Any]]
+    fills: list[tuple[NDArray[np.int64], NDArray[Any]]]
     items: Items
-    tile_counts: NDArray[np.int64]
+    active: NDArray[np.int64]
 
 
 def rebuilt(tree: TypedTree, volume: SparseVolume, transform: NDArray[np.float64] | None = None) -> SparseVolume:
@@ -125,40 +121,35 @@ def build_grid(tree: TypedTree, head: GridHead) -> NDArray[np.uint8]:
     Returns:
         The grid: uint8, 32-byte aligned, read-only.
     """
-    tiles, fills = _tiles_of(tree)
-    return next(build_grids(tree, np.zeros(len(tree.origins), np.int64), tiles, 1, head, fills))
+    root = tree.root
+    if len(root.origins):
+        used = np.concatenate([tree.origins, tree.lower.origins, tree.upper.origins])
+        root = root.rows(~np.isin(root_keys_of(root.origins), root_keys_of(used)))
+    none, tiles = (Tiles(np.zeros(len(part.origins), np.int64), *part) for part in (root.rows(slice(0)), root))
+    return next(build_grids(tree, np.zeros(len(tree.origins), np.int64), (none, none, tiles), 1, head))
 
 
 def build_grids(
-    tree: TypedTree,
-    grid_of: NDArray[np.int64],
-    tiles: Sequence[Tiles],
-    count: int,
-    head: GridHead,
-    fills: Sequence[Fills] = ((), ()),
+    tree: TypedTree, grid_of: NDArray[np.int64], tiles: Sequence[Tiles], count: int, head: GridHead
 ) -> Iterator[NDArray[np.uint8]]:
     """Build grids from their leaves and tiles.
 
     Args:
-        tree: The leaves of all grids, with the layout and background of ``head``; its nodes and tiles are not used.
+        tree: The leaves of all grids, with the layout and background of ``head``; it has nodes only for one grid alone.
         grid_of: Grid of each leaf, (L,), from 0 to ``count`` - 1. A grid has each place once.
-        tiles: Tiles of 8^3, 128^3 and 4096^3 voxels; the smaller ones in place of a node are left out.
+        tiles: Tiles of 8^3, 128^3 and 4096^3 voxels, without children below them.
         count: Number of grids.
         head: Specification of all grids.
-        fills: What fills lower and upper nodes before tiles and children; only for one grid alone.
     Yields:
         Each grid as ``build_grid`` makes it.
     """
     layout = tree.layout
-    (leaf_upper, small_upper, large_upper), uppers = _uppers((grid_of, tree.origins), *(t[:2] for t in tiles[:2]))
-    # At most 2^36 upper nodes leave 27 bits for the slots in them.
-    place, small = (
-        upper << 27 | slot_of(origins, 32, 128) << 12 | slot_of(origins, 16, 8)
-        for upper, origins in ((leaf_upper, tree.origins), (small_upper, tiles[0].origins))
-    )
+    nodes_of = ((np.zeros(len(nodes.origins), np.int64), nodes.origins) for nodes in (tree.lower, tree.upper))
+    sources = (grid_of, tree.origins), tiles[0][:2], tiles[1][:2], *nodes_of
+    (place, small, large, lower_own, upper_own), uppers = _places(*sources)
     order = np.argsort(place, kind="stable")
     place = place[order]
-    lower_place = np.unique(np.concatenate([place, small]) >> 12)
+    lower_place = np.unique(np.concatenate([place, small, lower_own]) >> 12)
     lower_upper, upper_origins = lower_place >> 15, root_origins(uppers["root"])
     entries = _entries(tree, uppers, tiles[2])
     grids_of = (grid_of, uppers["grid"][lower_upper], uppers["grid"], entries["grid"])
@@ -179,14 +170,16 @@ def build_grids(
     leaf = NodeLevel(rows, layout, "leaf", begin, len(order), step, layout.leaf_table, 8, 1)
     items, voxels = _write_leaves(leaf, tree, order)
     lower_origins = upper_origins[lower_upper] + 128 * slot_places(lower_place & 0x7FFF, 32)
-    lower = _level(layout, "lower", count, lower_place, lower_origins, items, place, tiles[0], small)
-    large = large_upper << 15 | slot_of(tiles[1].origins, 32, 128)
+    lower = _level(tree, "lower", lower_place, lower_origins, items, place, tiles[0], small, lower_own >> 12)
     upper_place = np.arange(len(uppers))
-    upper = _level(layout, "upper", count, upper_place, upper_origins, lower.items, lower_place, tiles[1], large)
+    upper = _level(
+        tree, "upper", upper_place, upper_origins, lower.items, lower_place, tiles[1], large >> 12, upper_own >> 27
+    )
     on = tiles[2].rows(tiles[2].active)
     root_items = items_of_tiles(layout, on.origins, on.values, 4096)
     root_items = reduced(*add_items(upper.items, uppers["grid"], root_items, on.grid), count)
-    tile_counts = np.stack([lower.tile_counts, upper.tile_counts, np.bincount(on.grid, minlength=count)], axis=1)
+    grids_of_tiles = (grids_of[1][lower.active], grids_of[2][upper.active], on.grid)
+    tile_counts = np.stack([np.bincount(grid, minlength=count) for grid in grids_of_tiles], axis=1)
     grids, trees = _heads(head, begins, numbers[:, :3], tree_ends, sizes, root_items)
     trees["tile_count"] = tile_counts
     active = np.bincount(grid_of[order], voxels, count).astype(np.int64)
@@ -207,17 +200,16 @@ def build_grids(
         child = entries["child"][own]
         to_upper = grid.upper.begin - HEAD_SIZE + (child - upper_part.start) * layout.upper_size
         grid.table["child"] = np.where(child >= 0, to_upper, 0)
-        for level, target, below, nodes, held, fill in (
-            (upper, grid.upper, grid.lower, upper_part, lower_part, fills[1]),
-            (lower, grid.lower, grid.leaf, lower_part, leaf_part, fills[0]),
+        for level, target, below, nodes, held in (
+            (upper, grid.upper, grid.lower, upper_part, lower_part),
+            (lower, grid.lower, grid.leaf, lower_part, leaf_part),
         ):
             target.column(np.uint8, 0, target.table)[:] = level.heads[nodes]
             values = target.values
             if has_background:
                 values[:] = tree.background
-            for corners, contents in fill:
-                for node, content in zip(rows_in(level.origins, corners), contents, strict=True):
-                    values[node] = content
+            for node, contents in level.fills:
+                values[node] = contents
             if len(level.tiles[0]) and target.count:
                 some = slice(level.tile_ends[nodes.start - 1] if nodes.start else 0, level.tile_ends[nodes.stop - 1])
                 at = np.repeat(np.arange(target.count), np.diff(level.tile_ends[nodes], prepend=some.start))
@@ -233,94 +225,84 @@ def build_grids(
         yield buffer
 
 
-def _tiles_of(tree: TypedTree) -> tuple[list[Tiles], list[Fills]]:
-    """The tiles of a tree, and what fills its nodes of either level and those that only its leaves need.
+def _places(*sources: Any) -> tuple[list[NDArray[np.int64]], NDArray[Any]]:
+    """Places of the voxels of some sources (grids, voxels); grid and root key of the upper nodes of all grids.
 
-    Inactive tiles are told by what fills their nodes, which takes no memory for each of them.
+    A place is the number of the upper node, then the slots there and in the lower node: at most 2^36 upper nodes leave
+    27 bits for them.
     """
-    lowers = _corners(128, tree.origins, tree.lower.origins)
-    uppers = _corners(4096, lowers, tree.upper.origins)
-    tiles: list[Tiles] = []
-    fills: list[Fills] = []
-    for nodes, corners, width, span in ((tree.lower, lowers, 16, 8), (tree.upper, uppers, 32, 128)):
-        told = nodes.active.copy()
-        # A tile, even an inactive one, keeps a node that has no other.
-        told[:, 0] = True
-        node, slot = np.nonzero(told)
-        fresh = corners[rows_in(nodes.origins, corners) < 0]
-        values, active = tree.tiles_at(fresh, below_root=span == 8)
-        some = active | differs(values, tree.background)
-        fills.append([(nodes.origins, nodes.values), (fresh[some], values[some, None])])
-        full = np.repeat(np.flatnonzero(active), width**3)
-        slots = np.concatenate([slot, np.tile(np.arange(width**3), int(active.sum()))])
-        origins = np.concatenate([nodes.origins[node], fresh[full]]) + span * slot_places(slots, width)
-        values = np.concatenate([nodes.values[node, slot], values[full]])
-        active = np.concatenate([nodes.active[node, slot], active[full]])
-        tiles.append(Tiles(np.zeros(len(slots), np.int64), origins, values, active))
-    root = tree.root.rows(rows_in(uppers, tree.root.origins) < 0)
-    return [*tiles, Tiles(np.zeros(len(root.origins), np.int64), *root)], fills
-
-
-def _corners(span: int, *voxels: NDArray[np.int32]) -> NDArray[np.int32]:
-    """First voxels of the nodes of ``span``^3 voxels that hold voxels."""
-    corners = np.concatenate(voxels) & ~np.int32(span - 1)
-    # Most leaves follow others of their node, so few rows are left to be sorted.
-    return np.unique(corners[np.diff(corners, axis=0, prepend=corners[:1] + 1).any(axis=1)], axis=0)
-
-
-def _uppers(*sources: Any) -> tuple[list[NDArray[np.int64]], NDArray[Any]]:
-    """Upper node of each voxel of some sources (grids, voxels); grid and root key of the upper nodes of all grids."""
-    keys = np.empty(sum(len(grid) for grid, _ in sources), [("grid", np.int64), ("root", np.uint64)])
-    keys["grid"] = np.concatenate([grid for grid, _ in sources])
-    keys["root"] = np.concatenate([root_keys_of(voxels) for _, voxels in sources])
-    roots, rank = np.unique(keys["root"], return_inverse=True)
-    number = keys["grid"] * max(len(roots), 1) + rank.reshape(-1)
-    _, first, node = np.unique(number, return_index=True, return_inverse=True)
+    grids, voxels = map(np.concatenate, zip(*sources, strict=True))
+    keys = root_keys_of(voxels)
+    order = np.lexsort((keys, grids))
+    uppers = np.empty(len(keys), [("grid", np.int64), ("root", np.uint64)])
+    uppers["grid"], uppers["root"] = grids[order], keys[order]
+    first = np.ones(len(keys), np.bool_)
+    first[1:] = uppers[1:] != uppers[:-1]
+    upper = np.empty(len(keys), np.int64)
+    upper[order] = np.cumsum(first) - 1
+    places = upper << 27 | slot_of(voxels, 32, 128) << 12 | slot_of(voxels, 16, 8)
     ends = np.cumsum([len(grid) for grid, _ in sources])
-    return np.split(node.reshape(-1), ends[:-1]), keys[first]
+    return np.split(places, ends[:-1]), uppers[first]
 
 
 def _level(
-    layout: GridLayout,
+    tree: TypedTree,
     name: str,
-    count: int,
     places: NDArray[np.int64],
     origins: NDArray[np.int32],
     child_items: Items,
     child_place: NDArray[np.int64],
     tiles: Tiles,
     tile_place: NDArray[np.int64],
+    own_place: NDArray[np.int64],
 ) -> _Nodes:
-    """Nodes at some places, ascending; a place of a child or tile is that of its node, then its slot."""
-    table, width, span = (layout.upper_table, 32, 128) if name == "upper" else (layout.lower_table, 16, 8)
+    """Nodes at some places, ascending; a place of a child or tile is that of its node, then its slot.
+
+    Those of the tree stand at ``own_place``; others are filled with the tile that they replace.
+    """
+    layout = tree.layout
+    table, width, span, nodes = (
+        (layout.upper_table, 32, 128, tree.upper) if name == "upper" else (layout.lower_table, 16, 8, tree.lower)
+    )
     slots = width**3
-    kept = np.searchsorted(child_place, tile_place) == np.searchsorted(child_place, tile_place, "right")
-    if not kept.all():
-        tiles, tile_place = tiles.rows(kept), tile_place[kept]
     child_node, tile_node = (np.searchsorted(places, place // slots) for place in (child_place, tile_place))
     child_slot, tile_slot = child_place % slots, tile_place % slots
-    on = tiles.active
-    # Those of tiles are not kept while they are reduced, which takes the most memory.
-    both = add_items(
-        child_items, child_node, items_of_tiles(layout, tiles.origins[on], tiles.values[on], span), tile_node[on]
-    )
-    items = reduced(*both, len(places))
-    del both
     heads = np.zeros((len(places), table), np.uint8)
-    for node, bit in ((tile_node[on], tile_slot[on]), (child_node, slots + child_slot)):
-        np.bitwise_or.at(heads, (node, 32 + (bit >> 3)), (1 << (bit & 7)).astype(np.uint8))
-    nodes = NodeLevel(heads.reshape(-1), layout, name, 0, len(places), table, table, width, span)
-    _write_statistics(nodes, origins, items)
+    masks, child_masks = heads[:, 32 : 32 + slots // 8], heads[:, 32 + slots // 8 : 32 + slots // 4]
+    own = np.searchsorted(places, own_place)
+    masks[own] = np.packbits(nodes.active, axis=1, bitorder="little")
+    fills = [(own, nodes.values)] if len(own) else []
+    if len(tree.upper.origins) or len(tree.root.origins):
+        fresh = np.delete(np.arange(len(places)), own)
+        values, states = tree.tiles_at(origins[fresh], below_root=name == "lower")
+        masks[fresh[states]] = 255
+        some = states | differs(values, tree.background)
+        fills.append((fresh[some], values[some, None]))
+    np.bitwise_or.at(child_masks, (child_node, child_slot >> 3), (1 << (child_slot & 7)).astype(np.uint8))
+    masks &= ~child_masks
+    on = tiles.rows(tiles.active)
+    active = [(tile_node[tiles.active], on.origins, on.values)] if len(tile_place) else []
+    for rows, contents in fills:
+        node, slot = set_bits(masks[rows])
+        contents = np.broadcast_to(contents, (len(rows), slots, *contents.shape[2:]))
+        active.append((rows[node], origins[rows[node]] + span * slot_places(slot, width), contents[node, slot]))
+    np.bitwise_or.at(masks, (tile_node, tile_slot >> 3), (tiles.active << (tile_slot & 7)).astype(np.uint8))
+    items, parent = child_items, child_node
+    for node, corners, values in active:
+        items, parent = add_items(items, parent, items_of_tiles(layout, corners, values, span), node)
+    items = reduced(items, parent, len(places))
+    level = NodeLevel(heads.reshape(-1), layout, name, 0, len(places), table, table, width, span)
+    _write_statistics(level, origins, items)
     order = np.argsort(tile_node, kind="stable")
     return _Nodes(
-        origins=origins,
         heads=heads,
         children=child_slot,
         child_node=child_node,
         tile_ends=np.cumsum(np.bincount(tile_node, minlength=len(places))),
         tiles=(tile_slot[order], tiles.values[order]),
+        fills=fills,
         items=items,
-        tile_counts=np.bincount(tiles.grid[on], minlength=count),
+        active=parent[len(child_node) :],
     )
 
 

@@ -40,11 +40,10 @@ def test_the_bytes_are_those_of_single_grids(grid_type):
     root = Tiles(np.array([1]), np.array([[4096, 0, -4096]], np.int32), value[None], np.array([True]))
     large = Tiles(np.array([2]), np.array([[-256, 128, 1024]], np.int32), value[None], np.array([False]))
     small = Tiles(*map(np.concatenate, zip(*(tiles_of(t.lower, 16, 8, i) for i, t in enumerate(trees)), strict=True)))
-    names = ("origins", "masks", "values")
-    whole = replace(trees[0], **{name: np.concatenate([getattr(t, name) for t in trees]) for name in names})
     grid_of = np.repeat(np.arange(3), [len(t.origins) for t in trees])
     shuffled = np.random.default_rng(0).permutation(len(grid_of))
-    whole = replace(whole, **{name: getattr(whole, name)[shuffled] for name in names})
+    leaves = (np.concatenate([getattr(t, name) for t in trees])[shuffled] for name in ("origins", "masks", "values"))
+    whole = tree_of_leaves(trees[0].layout, background, *leaves)
     head = head_like(volume, trees[0].layout, background)
     found = list(build_grids(whole, grid_of[shuffled], (small, large, root), 3, head))
 
