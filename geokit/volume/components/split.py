@@ -17,9 +17,8 @@ from geokit.volume.nanovdb.layout import LAYOUTS, LOWER_SLOTS, UPPER_SLOTS
 from geokit.volume.nanovdb.nodes import slot_of
 from geokit.volume.tree.device_leaves import build_leaves
 from geokit.volume.tree.grid_head import head_like, result_head, volume_from_buffer
-from geokit.volume.tree.typed_batch import Tiles, build_grids
 from geokit.volume.tree.typed_tree import Nodes, RootTiles, TypedTree, tree_of_leaves
-from geokit.volume.tree.typed_writer import build_grid
+from geokit.volume.tree.typed_writer import Tiles, build_grid, build_grids
 
 __all__ = ["label_volume", "split_active", "tiles_of", "volumes_of"]
 
