@@ -190,7 +190,7 @@ static constexpr auto nearest_together = [](int item, const NearestTree& tree, c
     const double* const own = queries.positions.data + (size_t)block * 3 * LEAF;
     const Span span = span_of(tree, queries, block);
     // Of the query before: its place, and its k-th point, infinitely far away if there was none.
-    double last[3], last_far = -1.0;
+    double last[3] = {}, last_far = -1.0;
     int last_index = NONE;
     for (int query = first; query < first + queries.run && queries.index.data[query] != NONE; ++query) {
         const int owner = queries.index.data[query];
@@ -215,7 +215,7 @@ static constexpr auto nearest_together = [](int item, const NearestTree& tree, c
         auto rank = [&] {
             unsigned left = COUNTED < size;
             if (!left) {
-                for (int i = lane; i < size + 4; i += LANES)
+                for (int i = lane; i < size + 4 && i < KEYS; i += LANES)
                     if (i < size) order[i] = NONE;
                     else key[i] = INFINITY;
                 wait_for_all();
@@ -314,7 +314,7 @@ static constexpr auto nearest_together = [](int item, const NearestTree& tree, c
                 }
             }
             const int around = (k + 2 * LEAF - 1) / LEAF;
-            int from = leaf - around / 2;
+            int from = leaf - (around - (query % LEAF >= LEAF / 2)) / 2;
             from = from < span.end - around ? from : span.end - around;
             from = from > span.begin ? from : span.begin;
             for (int l = from; l < from + around && l < span.end; l += LEAVES) {
