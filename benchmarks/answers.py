@@ -640,6 +640,9 @@ def mesh_rows(given: Inputs) -> Rows:
         yield Row(f"mesh.merge_vertices.{name}", lambda n=name: merged(given.mesh(n)))
         yield Row(f"mesh.drop_degenerate.{name}", lambda n=name: dropped(given.mesh(n)))
         yield Row(f"mesh.repair.{name}", lambda n=name: gk.mesh.repair(given.mesh(n)))
+        yield Row(
+            f"mesh.remove_self_intersections.{name}", lambda n=name: gk.mesh.remove_self_intersections(given.mesh(n))
+        )
         yield from surface_rows(given, name)
     yield from container_rows(given)
     yield from sampling_rows(given)
