@@ -35,7 +35,7 @@ def repair(
 
     may_write(target, "mesh", force=common.force)
     require_kind(source, "mesh")
-    names = ("^mesh(?=:)", source), ("^rings(?=:)", "--untangle"), ("more rings", "a larger --untangle")
+    names = ("^mesh(?=:)", source), ("^rings(?=:)", "--untangle"), ("repair first, more rings", "a larger --untangle")
     with step(f"repairing {source}", quiet=common.json), called(*names):
         found = mesh.convert_unit(mesh.load(source), from_unit=from_unit)
         meters = found.meters_per_unit

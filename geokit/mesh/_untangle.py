@@ -56,18 +56,18 @@ def remove_self_intersections(mesh: MeshLike, *, rings: int = 8) -> Untangled:
     off. The holes are filled as by :func:`fill_holes`: triangles of least area between the points of the rims. Where
     that cannot be had without crossings, 2, 4, ... rings are cut, place by place. A mesh is returned only if
 
-    - no two of its faces intersect, as :meth:`Surface.self_intersections` counts them;
+    - no two of its faces intersect, as :meth:`geokit.mesh.Surface.self_intersections` counts them;
     - each piece that was cut is a disc, and a disc again, with the same rim: components, handles and borders are those
-      of the input;
+      of the input; of no body more than half of the faces are cut;
     - no more edges have three faces, and no more faces are without area or repeated.
 
     Else nothing is done, and the error says how many places are left. ``deviation`` is proven for all points of the
-    triangles, as in :func:`hausdorff`. A part that is folded or turned inside out comes back as a flat patch: what is
-    there for sure is the rim.
+    triangles, as in :func:`hausdorff`. A part that is folded or turned inside out comes back as a flat patch, as all
+    that is certain there is the rim. Borders of sheets are rims too, and stay where they are.
 
     All else stays: the other faces are the same ones in the same order, and all vertices are there, also those that no
     face uses any more (:func:`drop_degenerate` removes them). Patches have the attributes and the part of a face at
-    their rim, and their corners those of the rim's corners. Faces at a place have to be wound alike, as by
+    their rim, and their corners those of the rim's corners. The faces at a rim have to be wound alike, as by
     :func:`orient`.
 
     Args:
@@ -116,7 +116,10 @@ def remove_self_intersections(mesh: MeshLike, *, rings: int = 8) -> Untangled:
             kept[~kept] = ~np.isin(np.arange(given.face_count), sound[rows])
             made = derived(full, full.vertices, full.faces[kept], face_source=np.flatnonzero(kept))
             after = Surface(made, device="cpu")
-            if not after._has_self_intersections() and shape_of(given).is_kept_by(shape_of(made)):
+            before, now = shape_of(given), shape_of(made)
+            # Faces of a disc that were not wound alike are now.
+            kept_shape = before._replace(oriented=before.oriented or now.oriented).is_kept_by(now)
+            if kept_shape and not after._has_self_intersections():
                 break
             fails[:] = True
         again = np.unique(place[np.isin(crossing, rows[fails])])
@@ -125,7 +128,9 @@ def remove_self_intersections(mesh: MeshLike, *, rings: int = 8) -> Untangled:
             what = (
                 f"intersect, and {len(np.unique(piece[fails]))} such places cannot be mended within {rings} rings of "
             )
-            raise _refusal(given, first, what + "faces; try more rings, union for bodies that overlap, or wrap")
+            raise _refusal(
+                given, first, what + "faces; try repair first, more rings, union for bodies that overlap, or wrap"
+            )
         tried[again] = np.minimum(2 * tried[again], rings)
     deviation = hausdorff(surface, after, tolerance=BOUND_SHARE, samples=0).upper
     return Untangled(made, patch[kept], len(rows), len(places), deviation)
@@ -133,7 +138,7 @@ def remove_self_intersections(mesh: MeshLike, *, rings: int = 8) -> Untangled:
 
 def _refusal(mesh: TriangleMesh, pair: NDArray[np.int32], what: str) -> InputError:
     at = ", ".join(f"{value:.6g}" for value in mesh.vertices[mesh.faces[pair[0]]].mean(axis=0))
-    return InputError(f"mesh: faces {pair[0]} and {pair[1]} of {mesh.name or 'it'}, near ({at}), {what}")
+    return InputError(f"mesh: faces {pair[0]} and {pair[1]} of {mesh.name or 'the mesh'}, near ({at}), {what}")
 
 
 def _require_one_body(mesh: TriangleMesh, whole: MeshTopology, pairs: NDArray[np.int32]) -> None:
@@ -195,12 +200,15 @@ def _patches(
     of_rim = piece[rims.half_edges[rims.begin[:-1]] // 3]
     points, width, _ = rim_points(mesh, rims, corner)
     # A disc has no edges that are not between two of its faces but its rim, and as many points as Euler's formula says.
-    is_cut = np.isin(np.arange(len(sound)), rows)
-    paired = topology.pairs[0][is_cut[topology.pairs[0] // 3] & is_cut[topology.pairs[1] // 3]] // 3
-    faces, pairs = (np.bincount(each, minlength=len(rows)) for each in (piece, piece[np.searchsorted(rows, paired)]))
+    is_cut, (one, other) = np.isin(np.arange(len(sound)), rows), (pair // 3 for pair in topology.pairs)
+    paired = piece[np.searchsorted(rows, one[is_cut[one] & is_cut[other]])]
+    faces, pairs = (np.bincount(each, minlength=len(rows)) for each in (piece, paired))
     used = np.bincount(np.unique(piece[:, None] * count + edges.faces) // count, minlength=len(rows))
     sides = np.diff(rims.begin)
     is_disc = ((3 * faces - 2 * pairs)[of_rim] == sides) & ((2 * used - faces)[of_rim] == sides + 2)
+    # Of a body half of the faces stay at least: else it is not mended, but made anew.
+    body = connected_components(len(sound), one, other)
+    is_disc &= (2 * np.bincount(body, is_cut) <= np.bincount(body))[body[rows[of_rim]]]
     # Patches are wound against rims, and lie where the faces at the rims were.
     beside = -face_normals(TriangleMesh(mesh.vertices, mesh.faces[corner // 3]))
     fixed = edges_within(left, rims.begin, edges.start[rims.half_edges]), beside

@@ -201,9 +201,19 @@ def test_what_cannot_be_mended_is_refused():
     for rings, count in ((1, 2), (8, 1), (40, 1)):
         with pytest.raises(InputError, match=f"{count} such places cannot be mended within {rings} rings") as caught:
             remove_self_intersections(mesh, rings=rings)
-        for words in ("faces 15 and 31", "near (", "union", "wrap", "more rings"):
+        for words in ("faces 15 and 31", "near (", "repair first", "union", "wrap", "more rings"):
             assert words in str(caught.value)
     assert np.array_equal(mesh.faces, copy)
+
+
+@pytest.mark.parametrize("subdivisions", [2, 4])
+def test_half_of_a_body_stays(subdivisions):
+    # A few triangles would have the right topology too.
+    ball = catalog.icosphere(subdivisions)
+    mesh = noisy(ball, 3.0, 1.3 * 0.5**subdivisions, 0)
+    assert audit(mesh, self_intersections=True).self_intersection_count > ball.face_count / 4
+    with pytest.raises(InputError, match="1 such places cannot be mended within 8 rings"):
+        remove_self_intersections(mesh)
 
 
 def test_bodies_that_overlap_are_for_union():
@@ -261,6 +271,24 @@ def test_bodies_wound_inward_and_soups():
     assert loose.mesh.volume == pytest.approx(found.mesh.volume, rel=1e-3)
 
 
+def test_flipped_faces_in_a_place_are_wound_like_its_rim():
+    ball = pushed(catalog.icosphere(3), 1, 3)
+    pairs = gk.mesh.Surface(ball, device="cpu").self_intersections()
+    faces = ball.faces.copy()
+    faces[pairs[0, 0]] = faces[pairs[0, 0], ::-1]
+    mesh = TriangleMesh(ball.vertices, faces)
+    assert not audit(mesh).oriented
+    found = remove_self_intersections(mesh)
+    assert audit(found.mesh).oriented
+    assert np.array_equal(found.mesh.faces, remove_self_intersections(ball).mesh.faces)
+    # Others stay as they are.
+    far = np.delete(np.arange(ball.face_count), np.unique(pairs))[-1]
+    faces[far] = faces[far, ::-1]
+    found = remove_self_intersections(TriangleMesh(ball.vertices, faces))
+    require_untangled(TriangleMesh(ball.vertices, faces), found)
+    assert (found.mesh.faces == faces[far]).all(axis=1).any()
+
+
 def test_attributes_and_parts_go_on():
     whole = pushed(catalog.icosphere(3), 3, 8)
     mesh = TriangleMesh(
@@ -309,6 +337,22 @@ def test_what_is_not_proven_is_not_returned(monkeypatch):
     monkeypatch.setattr(_fill_holes, "_clashing", lambda *_: np.zeros(0, np.int64))
     with pytest.raises(InputError, match="1 such places cannot be mended"):
         remove_self_intersections(mesh, rings=1)
+
+
+def test_bodies_that_hang_together_at_a_point_stay_together():
+    ball = catalog.icosphere(3)
+    top, low = ball.vertices[:, 2].argmax(), ball.vertices[:, 2].argmin()
+    away = np.linalg.norm(ball.vertices - ball.vertices[top], axis=1)
+    near = (away > 0.0) & (away < 0.4)
+    vertices = ball.vertices.copy()
+    vertices[near] = 0.8 * vertices[near] + np.random.default_rng(1).uniform(-0.12, 0.12, (near.sum(), 3))
+    place = bent(ball, vertices)
+    other = catalog.moved(ball, tuple(vertices[top] - vertices[low]))
+    require_untangled(place, remove_self_intersections(place))
+    assert np.array_equal(other.vertices[low], vertices[top])
+    # A disc whose inner point another body has too would leave that body alone.
+    with pytest.raises(InputError, match="such places cannot be mended"):
+        remove_self_intersections(catalog.join(place, other))
 
 
 def test_meshes_of_other_sizes_than_expected():
