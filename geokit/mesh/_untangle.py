@@ -125,12 +125,9 @@ def remove_self_intersections(mesh: MeshLike, *, rings: int = 8) -> Untangled:
         again = np.unique(place[np.isin(crossing, rows[fails])])
         if (tried[again] == rings).all():
             first = pairs[np.isin(pairs, sound[rows[fails]]).any(axis=1).argmax()]
-            what = (
-                f"intersect, and {len(np.unique(piece[fails]))} such places cannot be mended within {rings} rings of "
-            )
-            raise _refusal(
-                given, first, what + "faces; try repair first, more rings, union for bodies that overlap, or wrap"
-            )
+            what = f"intersect, and {len(np.unique(piece[fails]))} such places cannot be mended within {rings} rings"
+            remedy = "try repair first, more rings, union for bodies that overlap, or wrap"
+            raise _refusal(given, first, f"{what} of faces; {remedy}")
         tried[again] = np.minimum(2 * tried[again], rings)
     deviation = hausdorff(surface, after, tolerance=BOUND_SHARE, samples=0).upper
     return Untangled(made, patch[kept], len(rows), len(places), deviation)
