@@ -623,6 +623,7 @@ def mesh_rows(given: Inputs) -> Rows:
         yield Row(f"mesh.merge_vertices.{name}", lambda n=name: merged(given.mesh(n)))
         yield Row(f"mesh.drop_degenerate.{name}", lambda n=name: dropped(given.mesh(n)))
         yield Row(f"mesh.repair.{name}", lambda n=name: gk.mesh.repair(given.mesh(n)))
+        yield Row(f"mesh.remove_self_intersections.{name}", lambda n=name: untangled(given.mesh(n)))
         yield from surface_rows(given, name)
     yield from container_rows(given)
     yield from sampling_rows(given)
@@ -633,6 +634,13 @@ def mesh_rows(given: Inputs) -> Rows:
     yield Row(
         "mesh.TriangleMesh.empty", lambda: [triangles([], [], "empty"), gk.mesh.audit(triangles([], [], "empty"))]
     )
+
+
+def untangled(mesh: gk.mesh.TriangleMesh) -> Any:
+    """The mesh with a few vertices pushed through its middle, and mended."""
+    vertices = mesh.vertices.copy()
+    vertices[:: max(1, mesh.vertex_count // 4)] *= -1.5
+    return gk.mesh.remove_self_intersections(gk.mesh.TriangleMesh(vertices, mesh.faces))
 
 
 def merged(mesh: gk.mesh.TriangleMesh) -> Any:
