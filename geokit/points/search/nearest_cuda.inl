@@ -181,7 +181,7 @@ static constexpr auto nearest_together = [](int item, const NearestTree& tree, c
 #else
     double squared[ROOM];
     Four keys[KEYS / 4];
-    int index[ROOM], order[KEYS], stack[STACK], queue[QUEUE];
+    int index[ROOM], order[KEYS], stack[STACK] = {}, queue[QUEUE] = {};
 #endif
     float* const key = (float*)keys;
     // Where lists are so long that a block has room for one team, its other threads have nothing to do.
