@@ -296,7 +296,7 @@ static constexpr auto nearest_together = [](int item, const NearestTree& tree, c
             sure = sure < limit ? sure : limit;
             const double enough = last_far * queries.stretch;
             bound = enough < sure ? enough : sure;
-            if (gap == 0.0) bound = last_far, bound_index = last_index + 1;
+            if (gap == 0.0 && last_index != NONE && last_far <= limit) bound = last_far, bound_index = last_index + 1;
         } else if (span.begin < span.end) {
             // The leaves around the nearest one on the way down.
             int leaf = block;

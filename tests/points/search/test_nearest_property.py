@@ -152,14 +152,16 @@ def test_teams_find_the_nearest_of_many(k):
 
     chosen = _nearest._search_kernel
     for points in clouds:
-        queries = np.concatenate([points[::7], random.normal(size=(200, 3)) * 5.0])
-        wide = ask(points, k), ask(points, k, queries)
+        queries = np.concatenate([points[::7], points[::14], random.normal(size=(200, 3)) * 5.0])
+        limits = np.exp(random.normal(size=len(queries)) * 3.0)  # of queries at one place too
+        wide = ask(points, k), ask(points, k, queries), ask(points, k, queries, limit_squared=limits)
         with (
             mock.patch.object(_nearest, "_search_kernel", lambda k, count, _: chosen(k, count, Gpu)),
             mock.patch.object(_nearest, "LEAST_TEAMS", 1),
         ):
             assert_equal(ask(points, k), wide[0])
             assert_equal(ask(points, k, queries), wide[1])
+            assert_equal(ask(points, k, queries, limit_squared=limits), wide[2])
 
 
 @pytest.mark.slow
