@@ -126,9 +126,11 @@ static constexpr auto nearest_alone = [](int query, const NearestTree& tree, con
         const double* side = tree.boxes.data + (size_t)node * 6 * WIDTH;
         const int* least = tree.least.data + (size_t)node * WIDTH;
         const int base = height;
-        for (int j = 0; j < WIDTH; ++j) {
+        const int below = 3 * (l - 1), from = (span.begin >> below) - WIDTH * n;
+        const int to = ((span.end - 1) >> below) - WIDTH * n;
+        for (int j = from > 0 ? from : 0; j < WIDTH && j <= to; ++j) {
             const double d = box_squared(side + j, x, y, z);
-            if (!is_above(span, WIDTH * n + j, l - 1) || !before(d, least[j], bound, bound_index)) continue;
+            if (!before(d, least[j], bound, bound_index)) continue;
             // The nearest child is pushed last; among equals, the first.
             int at = height++;
             for (; at > base && entry[at - 1] <= d; --at)
