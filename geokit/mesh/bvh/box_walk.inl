@@ -1,16 +1,14 @@
 // Boxes in a tree's local frame, and the traversal that visits the triangles of a surface whose boxes overlap one.
 #include "core/simd.inl"
-#include "mesh/bvh/bvh2_packed.inl"
+#include "mesh/bvh/bvh2.inl"
 
 static constexpr auto rounded_down = [](double x) { return (float)x - wp::abs((float)x) * 1.2e-7f - 1e-30f; };
 // A world box in a tree's local frame, rounded outward to float32. Rounding is monotone: boxes that touch in the world
-// touch here. The boxes of a warp Mesh are padded, because its vertices were rounded to nearest.
+// touch here.
 static constexpr auto local_box = [](const SurfaceTree& tree, const double* lower, const double* upper, float* low,
                                      float* high) {
     for (int k = 0; k < 3; ++k) {
-        const double padding = tree.mesh ? BOX_PADDING : 0.0;
-        const double from = (lower[k] - tree.origin[k]) / tree.scale - padding;
-        const double to = (upper[k] - tree.origin[k]) / tree.scale + padding;
+        const double from = (lower[k] - tree.origin[k]) / tree.scale, to = (upper[k] - tree.origin[k]) / tree.scale;
         low[k] = rounded_down(wp::clamp(from, -FARTHEST, FARTHEST));
         high[k] = -rounded_down(-wp::clamp(to, -FARTHEST, FARTHEST));
     }
@@ -52,7 +50,7 @@ static constexpr auto walk_boxes = [](const SurfaceTree& tree, const float* low,
     while (height > 0) {
         const int node = stack[--height];
         if (node < 0) {
-            for (int first = first_slot(node); first < end_slot(tree.leaves, node); ++first) visit(first);
+            for (int first = first_slot(node); first < end_slot(node); ++first) visit(first);
             continue;
         }
         const Node n = load_node(tree.boxes.data, node);

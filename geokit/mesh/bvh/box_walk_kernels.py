@@ -5,16 +5,16 @@
 import warp as wp
 
 from geokit.core import cpp
-from geokit.mesh.bvh.bvh2_packed_cuda_kernels import NODE_CONSTANTS
+from geokit.mesh.bvh.bvh2_cuda_kernels import NODE_CONSTANTS
 from geokit.mesh.bvh.bvh8_build_cpu_kernels import STACK
-from geokit.mesh.bvh.tree_kernels import BOX_PADDING, SurfaceTree
+from geokit.mesh.bvh.tree_kernels import SurfaceTree
 
 wp.set_module_options({"enable_backward": False})
 
 # Boxes end here, in local units: the mesh lies in [-1, 1], and the boxes of absent children lie beyond this.
 FARTHEST = 1.0e18
 
-BOX_CONSTANTS = {**NODE_CONSTANTS, "BOX_PADDING": BOX_PADDING, "FARTHEST": FARTHEST, "STACK": STACK}
+BOX_CONSTANTS = {**NODE_CONSTANTS, "FARTHEST": FARTHEST, "STACK": STACK}
 
 
 @cpp.func_native("mesh/bvh/box_walk.inl", **BOX_CONSTANTS)

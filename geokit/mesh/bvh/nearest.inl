@@ -5,10 +5,10 @@
 // traversal order. With ANY_WITHIN a GPU accepts any triangle within the distance: the first in traversal order.
 #include "core/simd.inl"
 #include "mesh/bvh/closest_on_triangle.inl"
-#include "mesh/bvh/bvh2_packed.inl"
+#include "mesh/bvh/bvh2.inl"
 
 #if defined(__CUDA_ARCH__)
-// The stack is as deep as that of warp's own queries: warp's builders bound the depth of the tree by 32.
+// The stack is deeper than a tree of bvh2.py may be.
 static constexpr auto nearest_slot = [](const SurfaceTree& tree, const point& p, double max_squared, int) -> int {
     const float* nodes = tree.boxes.data;
     double exact = max_squared;  // world units squared
@@ -51,7 +51,7 @@ static constexpr auto nearest_slot = [](const SurfaceTree& tree, const point& p,
                 node = left_first ? n.left : n.right;
                 if ((left_first ? dl : dr) <= limit) continue;
             } else {
-                for (int slot = first_slot(node); slot < end_slot(tree.leaves, node); ++slot) evaluate(slot);
+                for (int slot = first_slot(node); slot < end_slot(node); ++slot) evaluate(slot);
                 if (ANY_WITHIN && winner >= 0) return winner;
             }
             const double now = sqrt(exact) / tree.scale + padding;
@@ -142,7 +142,7 @@ static constexpr auto nearest_slot = [](const SurfaceTree& tree, const point& p,
             reached = (left_first ? dl : dr) <= reach;
         }
         if (reached)
-            for (int slot = first_slot(node); slot < end_slot(tree.leaves, node); ++slot) test(slot);
+            for (int slot = first_slot(node); slot < end_slot(node); ++slot) test(slot);
         if (ANY_WITHIN && winner >= 0) return winner;
         do --depth;
         while (depth >= 0 && entry[depth] > reach);

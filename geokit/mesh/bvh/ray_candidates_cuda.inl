@@ -3,7 +3,7 @@
 // A triangle that the ray hits well inside ends the search behind it. One that it hits within the margin of an edge
 // does not, and is decided in float64 together with the other candidates. With ANY_HIT a triangle that the ray hits
 // well inside, and well within its length, ends the whole search; the widest triangles are tested before the tree.
-#include "mesh/bvh/bvh2_packed.inl"
+#include "mesh/bvh/bvh2.inl"
 #include "mesh/bvh/ray_triangle.inl"
 
 struct alignas(16) Four {
@@ -124,11 +124,11 @@ static constexpr auto find_candidates = [](const SurfaceTree& tree, const point&
         count = 0;  // the walk meets them again
         full = false;
     }
-    int stack[64], height = 0, node = tree.ray_children.data[0];
+    int stack[64], height = 0, node = tree.children.data[0];
     while (true) {
         bool in_box = true;
         while (node >= 0 && in_box) {
-            const Node n = load_node(tree.ray_boxes.data, node);
+            const Node n = load_node(tree.boxes.data, node);
             const float tl = entry_of(n.lx, n.ly, n.lz, n.lX, n.lY, n.lZ);
             const float tr = entry_of(n.rx, n.ry, n.rz, n.rX, n.rY, n.rZ);
             const bool left_first = tl <= tr;
@@ -138,7 +138,7 @@ static constexpr auto find_candidates = [](const SurfaceTree& tree, const point&
             in_box = (left_first ? tl : tr) < INFINITY;
         }
         if (in_box) {
-            for (int slot = first_slot(node); slot < end_slot(tree.leaves, node) && !sure; ++slot) test(slot);
+            for (int slot = first_slot(node); slot < end_slot(node) && !sure; ++slot) test(slot);
             if (sure) {
                 found[0] = SURE;
                 return;

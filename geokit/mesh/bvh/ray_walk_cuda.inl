@@ -1,7 +1,7 @@
-// Rays in the tree of a warp Mesh, on CUDA: float32 tests with margins, decided in float64. One ray per thread.
+// Rays in the tree of bvh2_cuda_kernels: float32 tests with margins, decided in float64. One ray per thread.
 //
 // Warp's own ray query tests unpadded boxes and leaks thousands of rays per million that aim at edges and vertices.
-#include "mesh/bvh/bvh2_packed.inl"
+#include "mesh/bvh/bvh2.inl"
 #include "mesh/bvh/ray_triangle.inl"
 
 #if defined(__CUDA_ARCH__)
@@ -94,14 +94,14 @@ static constexpr auto walk_rays = [](const SurfaceTree& tree, const wp::array_t<
         return y >= -PLANE_MARGIN && cy * x - cx * y >= margin
                && (cx - longest) * y - cy * (x - longest * down) >= margin;
     };
-    int stack[64], node = tree.ray_children.data[0];
+    int stack[64], node = tree.children.data[0];
     float entry[64];
     // Negative once the traversal is over.
     r.height = reached ? 0 : -1;
     while (r.height >= 0) {
         bool in_box = true;
         while (node >= 0 && in_box) {
-            const Node n = load_node(tree.ray_boxes.data, node);
+            const Node n = load_node(tree.boxes.data, node);
             const float tl = entry_of(n.lx, n.ly, n.lz, n.lX, n.lY, n.lZ);
             const float tr = entry_of(n.rx, n.ry, n.rz, n.rX, n.rY, n.rZ);
             const bool left_first = tl <= tr;
@@ -114,7 +114,7 @@ static constexpr auto walk_rays = [](const SurfaceTree& tree, const wp::array_t<
             in_box = (left_first ? tl : tr) < INFINITY;
         }
         if (in_box) {
-            for (int slot = first_slot(node); slot < end_slot(tree.leaves, node) && r.height >= 0; ++slot) {
+            for (int slot = first_slot(node); slot < end_slot(node) && r.height >= 0; ++slot) {
                 double t, v, w;
                 if (!may_hit(slot) || !hit(tree, t_min, r.start, r.direction, slot, t, v, w) || t > r.best) continue;
                 if (take_hit(r, slot, t, v, w, shorten)) {

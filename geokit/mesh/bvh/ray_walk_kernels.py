@@ -5,7 +5,7 @@
 import numpy as np
 import warp as wp
 
-from geokit.mesh.bvh.bvh2_packed_cuda_kernels import NODE_CONSTANTS
+from geokit.mesh.bvh.bvh2_cuda_kernels import NODE_CONSTANTS
 from geokit.mesh.bvh.bvh8_build_cpu_kernels import STACK
 from geokit.mesh.bvh.bvh8_leaves_cpu_kernels import HEAD, LEAF_WORDS, SLIVER
 from geokit.mesh.bvh.leaf_planes_kernels import PLANE_ROWS

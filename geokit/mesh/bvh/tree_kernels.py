@@ -19,7 +19,7 @@ LEFT_OVER = wp.constant(2)
 
 @wp.struct
 class SurfaceTree:
-    """A surface as kernels see it: on a CPU its tree has eight children per node, on CUDA it is that of the warp Mesh.
+    """A surface as kernels see it: its tree has eight children per node on a CPU, two on CUDA.
 
     A slot is a position in a leaf: triangles that are near each other in space have slots that are near each other.
     """
@@ -30,17 +30,12 @@ class SurfaceTree:
     # World corners of the triangle in each slot, three per slot, and its number; NaN and -1 for empty slots.
     corners: wp.array(dtype=wp.vec3d)
     slot_triangle: wp.array(dtype=int)
-    # Handle of the warp Mesh; 0 on a CPU.
-    mesh: wp.uint64
     # CPU: for each node the boxes of its eight children, six rows of eight (lower x, y, z, upper x, y, z), local.
-    # CUDA: the nodes of bvh2_packed_cuda_kernels.
+    # CUDA: the nodes of bvh2_cuda_kernels.
     boxes: wp.array(dtype=wp.float32)
     # CPU: eight per node: the number of an inner node, or -1 - block for a leaf of eight slots. Node 0 is the root.
     # CUDA: one entry, the root, in the form of a child reference.
     children: wp.array(dtype=int)
-    # The same for rays, on CUDA only, with smaller leaves.
-    ray_boxes: wp.array(dtype=wp.float32)
-    ray_children: wp.array(dtype=int)
     # For each block PLANE_ROWS rows of eight: the triangles in their own frames; see leaf_planes_kernels.
     leaves: wp.array(dtype=wp.float32)
     # The leaves for rays, on the CPU only: LEAF_WORDS words per block; see bvh8_leaves_cpu.inl.
@@ -65,17 +60,6 @@ def gather_corners_kernel(
         else:
             none = wp.float64(wp.nan)
             out_corners[3 * slot + k] = wp.vec3d(none, none, none)
-
-
-@wp.func_native("return wp::bvh_load_int(wp::mesh_get(id).bvh.primitive_indices, slot);")
-def triangle_in_leaf_order(id: wp.uint64, slot: int) -> int: ...
-
-
-@wp.kernel
-def leaf_order_kernel(first: int, mesh: wp.uint64, out_slot_triangle: wp.array(dtype=int)):
-    """The triangles of a warp Mesh in the order of its leaves."""
-    slot = first + wp.tid()
-    out_slot_triangle[slot] = triangle_in_leaf_order(mesh, slot)
 
 
 @wp.kernel

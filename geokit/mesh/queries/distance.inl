@@ -2,7 +2,7 @@
 //
 // Triangles that do not meet are nearest at a vertex of one and a point of the other, or inside an edge of each.
 #include "core/simd.inl"
-#include "mesh/bvh/bvh2_packed.inl"
+#include "mesh/bvh/bvh2.inl"
 #include "mesh/bvh/closest_on_triangle.inl"
 #include "mesh/queries/triangle_pair.inl"
 
@@ -195,7 +195,7 @@ static constexpr auto nearest_pair = [](int item, const wp::array_t<wp::vec3d>& 
             node = left_first ? n.left : n.right;
             if ((left_first ? dl : dr) <= reach) continue;
         } else {
-            for (int other = first_slot(node); other < end_slot(tree.leaves, node); ++other) {
+            for (int other = first_slot(node); other < end_slot(node); ++other) {
                 double lower[3], upper[3];
                 const point* p = tree.corners.data + 3 * other;
                 for (int k = 0; k < 3; ++k) {

@@ -1,3 +1,5 @@
+#include "mesh/bvh/bvh2.inl"
+
 // The corner of a triangle that is furthest from p, as three times the slot plus the corner; the tree is pruned by the
 // far corners of its boxes. Ties go to the lowest triangle and its first corner.
 static constexpr auto furthest_corner = [](const SurfaceTree& tree, const wp::vec3d& p) -> int {
@@ -27,50 +29,47 @@ static constexpr auto furthest_corner = [](const SurfaceTree& tree, const wp::ve
         }
         return sum * tree.scale * tree.scale * (1.0 + 1e-12);
     };
-#if defined(__CUDA_ARCH__)
-    const wp::Mesh mesh = wp::mesh_get(tree.mesh);
-    int stack[64], height = 1;
-    stack[0] = *mesh.bvh.root;
-    while (height > 0) {
-        const int node = stack[--height];
-        const wp::BVHPackedNodeHalf l = wp::bvh_load_node(mesh.bvh.node_lowers, node);
-        const wp::BVHPackedNodeHalf u = wp::bvh_load_node(mesh.bvh.node_uppers, node);
-        if (reach_of(&l.x, &u.x, 1) < best) continue;
-        if (l.b) {
-            for (int slot = l.i; slot < (int)u.i; ++slot) evaluate(slot);
-        } else {
-            stack[height++] = l.i;
-            stack[height++] = u.i;
-        }
-    }
-#else
     int stack[STACK], height = 1;
     double entry[STACK];
-    stack[0] = 0;
+    // Puts a node on the stack, sorted among those from base on: the one with the furthest corner comes next.
+    auto push = [&](int base, int node, const float* lower, const float* upper, int stride) {
+        const double reach = reach_of(lower, upper, stride);
+        if (reach < best) return;
+        int at = height++;
+        for (; at > base && entry[at - 1] > reach; --at) {
+            entry[at] = entry[at - 1];
+            stack[at] = stack[at - 1];
+        }
+        entry[at] = reach;
+        stack[at] = node;
+    };
     entry[0] = INFINITY;
+#if defined(__CUDA_ARCH__)
+    stack[0] = tree.children.data[0];
+#else
+    stack[0] = 0;
+#endif
     while (height > 0) {
         --height;
         if (entry[height] < best) continue;
-        const int node = stack[height];
+        const int node = stack[height], base = height;
+#if defined(__CUDA_ARCH__)
+        if (node < 0) {
+            for (int slot = first_slot(node); slot < end_slot(node); ++slot) evaluate(slot);
+            continue;
+        }
+        const Node n = load_node(tree.boxes.data, node);
+        push(base, n.left, &n.lx, &n.lX, 1);
+        push(base, n.right, &n.rx, &n.rX, 1);
+#else
         if (node < 0) {
             for (int j = 0; j < 8; ++j) evaluate(8 * (-1 - node) + j);
             continue;
         }
         const float* box = tree.boxes.data + 48 * node;
-        const int base = height;
-        for (int j = 0; j < 8; ++j) {
-            if (box[j] > box[24 + j]) continue;
-            const double reach = reach_of(box + j, box + 24 + j, 8);
-            if (reach < best) continue;
-            int at = height++;
-            for (; at > base && entry[at - 1] > reach; --at) {
-                entry[at] = entry[at - 1];
-                stack[at] = stack[at - 1];
-            }
-            entry[at] = reach;
-            stack[at] = tree.children.data[8 * node + j];
-        }
-    }
+        for (int j = 0; j < 8; ++j)
+            if (box[j] <= box[24 + j]) push(base, tree.children.data[8 * node + j], box + j, box + 24 + j, 8);
 #endif
+    }
     return winner;
 };

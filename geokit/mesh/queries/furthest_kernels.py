@@ -6,13 +6,14 @@ import warp as wp
 
 from geokit.core import cpp
 from geokit.core.morton_order_kernels import prefetch_query
+from geokit.mesh.bvh.bvh2_cuda_kernels import NODE_CONSTANTS
 from geokit.mesh.bvh.bvh8_build_cpu_kernels import STACK
 from geokit.mesh.bvh.tree_kernels import BOX_PADDING, SurfaceTree
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
-@cpp.func_native("mesh/queries/furthest.inl", BOX_PADDING=BOX_PADDING, STACK=STACK)
+@cpp.func_native("mesh/queries/furthest.inl", **NODE_CONSTANTS, BOX_PADDING=BOX_PADDING, STACK=STACK)
 def furthest_corner(tree: SurfaceTree, p: wp.vec3d) -> int:
     """The furthest corner from p, as three times the slot plus the corner."""
     ...

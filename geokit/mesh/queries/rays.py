@@ -342,7 +342,7 @@ class RayQueries:
         shared = [rays.rows, heading.rows, *streams, tree or self._ray_tree, start, reach]
         group = group_size(count) if self._device.is_cpu else 1
         whole = kernel, -(-count // group), [group, *shared]
-        in_passes = self._tree.mesh and count >= FEWEST_IN_PASSES
+        in_passes = self._device.is_cuda and count >= FEWEST_IN_PASSES
         first, again = self._passes(whole, count, shared) if in_passes else (whole, None)
         launcher.launch(*first, [*outputs, bad], self._device, grain=1)
 
@@ -363,7 +363,7 @@ class RayQueries:
 
             return (first_hit_kernel, count, shared), (raycast_kernels.raycast_undecided_kernel, count, shared)
         if whole[0] is raycast_kernels.occluded_kernel:
-            from geokit.mesh.bvh.bvh2_any_hit_cuda_kernels import any_hit_kernel
+            from geokit.mesh.bvh.bvh2_ray_candidates_cuda_kernels import any_hit_kernel
 
             return (any_hit_kernel, count, shared), (raycast_kernels.occluded_left_over_kernel, count, shared)
         return whole, None

@@ -35,10 +35,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Surface"]
 
-# Memory for building a surface, for each triangle of a closed mesh.
+# Memory for building a surface, for each triangle of a closed mesh; and for a warp Mesh of it on a GPU.
 BYTES_PER_FACE = 190
-BYTES_PER_FACE_CUDA = 660
-# What warp takes of it while it builds its tree on a GPU.
+BYTES_PER_FACE_CUDA = 240
 WARP_BYTES_PER_FACE = 400
 # Triangles whose leaves a GPU holds: an array of warp has at most 2^31 - 1 rows, and a triangle takes 20.
 MOST_FACES_CUDA = (2**31 - 1) // 20
@@ -46,10 +45,6 @@ MOST_FACES_CUDA = (2**31 - 1) // 20
 # thread diverges least.
 LEAF_SIZE_CPU = 8
 LEAF_SIZE_CUDA = 1
-# Triangles in a leaf of the packed nodes that GPU queries walk (made from the tree of the warp Mesh). Closest points
-# gain from reading fewer nodes; rays lose from testing triangles that they pass (measured on an H100).
-POINT_LEAF = 6
-RAY_LEAF = 1
 
 
 @shows_arguments
@@ -58,8 +53,8 @@ class Surface(SignQueries, RayQueries, DistanceQueries):
 
     A pickle or a copy carries the mesh and prepares it again, on the same device if there is one of that name.
 
-    On a CPU queries walk a tree with eight children per node; on a GPU they walk the tree of a warp ``Mesh``. On either
-    device the answers are those of float64 triangles.
+    On a CPU queries walk a tree with eight children per node; on a GPU with two. On either device the answers
+    are those of float64 triangles.
 
     Arrays of a mesh that was made on the same GPU are used in place. Of faces that lie back to back on a closed
     component, one counts for signs and winding numbers (:meth:`signed_distance`); all other queries take both.
@@ -102,14 +97,14 @@ class Surface(SignQueries, RayQueries, DistanceQueries):
         self._set_mesh(mesh)
         size = (BYTES_PER_FACE if self._device.is_cpu else BYTES_PER_FACE_CUDA) * mesh.face_count
         try:
-            # Warp's native code builds the tree on a GPU, and does not check what it allocates.
+            # Sums and sorts of warp do not check what they allocate.
             if self._device.is_cuda and size > available_memory.available(self._device):
                 raise MemoryError("to allocate")
             self._upload()
             if self._device.is_cpu:
                 self._build_wide_tree()
             else:
-                self._take_warp_tree()
+                self._build_binary_tree()
         except (RuntimeError, MemoryError) as error:
             if "allocat" not in str(error).lower():
                 raise
@@ -137,7 +132,7 @@ class Surface(SignQueries, RayQueries, DistanceQueries):
         built = build_wide_trees(self._vertices, self._faces, begin, *self._frames)
         self._tree = SurfaceTree()
         self._tree.boxes, self._tree.children, self._tree.slot_triangle = built[:3]
-        self._place_triangles()
+        self._place_blocks()
 
     def _refit_wide_tree(self) -> None:
         import warp as wp
@@ -148,53 +143,30 @@ class Surface(SignQueries, RayQueries, DistanceQueries):
         former, self._tree = self._tree, SurfaceTree()
         self._tree.slot_triangle, self._tree.children = former.slot_triangle, former.children
         self._tree.boxes = wp.clone(former.boxes)
-        self._place_triangles()
+        self._place_blocks()
         refit_wide_tree(self._tree, self._frame)
 
-    def _take_warp_tree(self) -> None:
-        import warp as wp
+    def _build_binary_tree(self) -> None:
+        from geokit.mesh.bvh.bvh2 import build_binary_tree
 
-        from geokit.mesh.bvh.bvh2_packed import pack_nodes
-        from geokit.mesh.bvh.ray_walk_kernels import RAY_PADDING
-        from geokit.mesh.bvh.tree_kernels import SurfaceTree, leaf_order_kernel
-
-        self._tree = SurfaceTree()
-        self._tree.mesh = wp.uint64(self._warp_mesh.id)
-        self._tree.slot_triangle = wp.empty(self.mesh.face_count, dtype=wp.int32, device=self._device)
-        inputs, outputs = [self._tree.mesh], [self._tree.slot_triangle]
-        launcher.launch(leaf_order_kernel, self.mesh.face_count, inputs, outputs, self._device)
-        self._place_triangles()
-        tree = self._tree
-        tree.boxes, tree.children = pack_nodes(self._warp_mesh, POINT_LEAF, 0.0, tree.leaves)
-        tree.ray_boxes, tree.ray_children = pack_nodes(self._warp_mesh, RAY_LEAF, RAY_PADDING, tree.leaves)
+        self._tree = build_binary_tree(self._vertices, self._faces, self._frame)
 
     @property
     def _frames(self) -> tuple[np.ndarray, np.ndarray]:
         """The local frame as one of many: origins (1, 3) and scales (1,)."""
         return np.asarray(self._frame.origin)[None], np.array([self._frame.scale])
 
-    def _place_triangles(self) -> None:
+    def _place_blocks(self) -> None:
         """Store the frame, and the triangles in slot order: world corners in float64, and planes in float32."""
         import warp as wp
 
         from geokit.mesh.bvh.bvh8 import place_triangles
-        from geokit.mesh.bvh.leaf_planes_kernels import SLOT_WORDS, leaf_planes_kernel
-        from geokit.mesh.bvh.tree_kernels import gather_corners_kernel
 
         tree = self._tree
         tree.origin = wp.vec3d(*map(float, self._frame.origin))
         tree.scale = wp.float64(self._frame.scale)
-        slots = len(tree.slot_triangle)
-        mesh = self._vertices, self._faces
-        if not tree.mesh:
-            placed = place_triangles(tree.slot_triangle, np.array([0, slots]), *mesh, *self._frames)
-            tree.corners, tree.leaves = placed
-            return
-        tree.corners = wp.empty(3 * slots, dtype=wp.vec3d, device=self._device)
-        launcher.launch(gather_corners_kernel, slots, [tree.slot_triangle, *mesh], [tree.corners], self._device)
-        tree.leaves = wp.empty(SLOT_WORDS * slots, dtype=wp.float32, device=self._device)
-        inputs = [tree.slot_triangle, tree.corners, tree.origin, tree.scale]
-        launcher.launch(leaf_planes_kernel, slots, inputs, [tree.leaves], self._device)
+        slots, mesh = np.array([0, len(tree.slot_triangle)]), (self._vertices, self._faces)
+        tree.corners, tree.leaves = place_triangles(tree.slot_triangle, slots, *mesh, *self._frames)
 
     @classmethod
     def _over(cls, mesh: TriangleMesh, device: Any, tree: Any) -> Surface:
@@ -210,10 +182,14 @@ class Surface(SignQueries, RayQueries, DistanceQueries):
         """A surface of another mesh; classes derived from this one may be made of something else than a mesh."""
         return Surface(mesh, device=device)
 
-    @cached_property
+    @property
     def _warp_mesh(self) -> "wp.Mesh":
-        """The mesh in local coordinates for warp's own queries; CPU queries do not need it, so it is built lazily."""
-        return self._make_warp_mesh(self._faces)
+        """The mesh in local coordinates for warp's own queries, built when it is asked for.
+
+        A handle does not keep its mesh alive, so the surface must; threads that come together keep the same one.
+        """
+        kept = self.__dict__
+        return kept.get("_made_warp_mesh") or kept.setdefault("_made_warp_mesh", self._make_warp_mesh(self._faces))
 
     def _make_warp_mesh(self, faces: "wp.array") -> "wp.Mesh":
         import warp as wp
@@ -264,7 +240,7 @@ class Surface(SignQueries, RayQueries, DistanceQueries):
             )
         moving = TriangleMesh(vertices, self.mesh.faces)
         mesh = derived(self.mesh, moving.vertices, moving.faces)
-        cached = [*self._cached_names(), "_cache", "_turned_mesh"]
+        cached = [*self._cached_names(), "_cache", "_made_warp_mesh", "_turned_mesh"]
         moved = Surface.__new__(type(self))
         moved.__dict__.update((name, value) for name, value in self.__dict__.items() if name not in cached)
         moved._set_mesh(mesh)
@@ -272,8 +248,8 @@ class Surface(SignQueries, RayQueries, DistanceQueries):
         if moved._device.is_cpu:
             moved._refit_wide_tree()
         else:
-            # On a GPU a new build takes no longer than a refit and the copies for it.
-            moved._take_warp_tree()
+            # On a GPU a new build takes little longer than a refit.
+            moved._build_binary_tree()
         hold(moved, **({} if tracked is None else {"vertices": tracked}))
         self.__dict__ = moved.__dict__  # at once: see snapshot
 
@@ -297,7 +273,7 @@ class Surface(SignQueries, RayQueries, DistanceQueries):
     def id(self) -> int:
         """Handle of the warp ``Mesh`` for the user's own kernels: pass it as ``wp.uint64`` to warp's ``mesh_query_*``.
 
-        This mesh is in local coordinates: ``(world - origin) / scale``. On a CPU it is built at the first access.
+        This mesh is in local coordinates: ``(world - origin) / scale``. It is built at the first access.
         :meth:`update` replaces it, so that the handle changes.
         """
         return int(self._warp_mesh.id)

@@ -1,4 +1,4 @@
-"""The two passes of rays on a GPU, run on the CPU with the same tree of a warp Mesh."""
+"""The two passes of rays on a GPU, run on the CPU with the tree of a GPU."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import geokit as gk
 from benchmarks.catalog import mesh_catalog
 from geokit.core import launcher
 from geokit.mesh.bvh import bvh2_ray_candidates_cuda_kernels as kernels
-from geokit.mesh.bvh.bvh2_any_hit_cuda_kernels import any_hit_kernel
 from geokit.mesh.bvh.tree_kernels import LEFT_OVER, SurfaceTree
 from geokit.mesh.queries.raycast_kernels import occluded_left_over_kernel
 from geokit.mesh.queries.rays import wide_slots
+from tests.mesh.bvh.test_bvh2 import binary
 
 
 def in_passes(surface, origins, directions, t_min=0.0, max_distance=np.inf):
@@ -34,13 +34,6 @@ def in_passes(surface, origins, directions, t_min=0.0, max_distance=np.inf):
     return [a.numpy() for a in out], undecided
 
 
-def on_warp_tree(mesh):
-    """A CPU surface over the tree that CUDA queries walk."""
-    surface = gk.mesh.Surface(mesh, device="cpu")
-    surface._take_warp_tree()
-    return surface
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("make", [*mesh_catalog.CLOSED, *mesh_catalog.OPEN, *mesh_catalog.DEFECTIVE])
 @pytest.mark.parametrize("distance", [0.5, 3.0, 1000.0])
@@ -56,7 +49,7 @@ def test_passes_answer_as_the_walk_in_float64(make, distance):
     targets[::2] = middle + rng.normal(size=(1500, 3)) * size / 3.0
     directions = (targets - origins) * 10.0 ** rng.uniform(-3, 3, (3000, 1))
     expected = gk.mesh.Surface(mesh, device="cpu").raycast(origins, directions)
-    found, undecided = in_passes(on_warp_tree(mesh), origins, directions)
+    found, undecided = in_passes(binary(mesh), origins, directions)
     # Candidates overflow only where many triangles meet.
     assert undecided.mean() < (0.7 if make in mesh_catalog.OPEN else 0.1)
     for one, other in zip(found, expected, strict=True):
@@ -69,7 +62,7 @@ def test_starts_and_lengths_are_kept():
     origins, directions = rng.uniform(-1.5, 1.5, (3000, 3)), rng.normal(size=(3000, 3))
     for options in ({"t_min": 0.3}, {"max_distance": 0.8}, {"t_min": 0.2, "max_distance": 0.9}):
         expected = gk.mesh.Surface(mesh, device="cpu").raycast(origins, directions, **options)
-        found, undecided = in_passes(on_warp_tree(mesh), origins, directions, **options)
+        found, undecided = in_passes(binary(mesh), origins, directions, **options)
         assert not undecided.any()
         for one, other in zip(found, expected, strict=True):
             np.testing.assert_array_equal(one, other)
@@ -78,7 +71,7 @@ def test_starts_and_lengths_are_kept():
 def test_far_away_rays_are_left_to_float64():
     mesh = mesh_catalog.icosphere()
     origins = np.array([[1e7, 0.0, 0.0], [1e7, 0.0, 0.0]])
-    _, undecided = in_passes(on_warp_tree(mesh), origins, np.array([[-1.0, 0.0, 0.0], [-1.0, 1e-7, 0.0]]))
+    _, undecided = in_passes(binary(mesh), origins, np.array([[-1.0, 0.0, 0.0], [-1.0, 1e-7, 0.0]]))
     assert undecided.all()
 
 
@@ -91,7 +84,7 @@ def any_hits(surface, origins, directions, t_min=0.0, max_distance=np.inf, wide=
     tree.assign(surface._tree)
     tree.wide = wide_slots(tree.corners) if wide is None else wp.array(wide, dtype=wp.int32, device=device)
     shared = [*rays, tree, wp.float64(t_min), wp.float64(max_distance)]
-    launcher.launch(any_hit_kernel, count, shared, [found, bad], device)
+    launcher.launch(kernels.any_hit_kernel, count, shared, [found, bad], device)
     assert not bad.numpy()[0]
     left = found.numpy().view(np.uint8) == LEFT_OVER
     assert bool(bad.numpy()[1]) == left.any()
@@ -118,7 +111,7 @@ def test_any_hits_are_those_of_the_walk_in_float64(make, limits):
     # Rays that end at a vertex to the last bit are in doubt: float64 decides.
     directions[::3] *= rng.choice([0.4, 1.0, 2.5], (1000, 1))
     expected = gk.mesh.Surface(mesh, device="cpu").occluded(origins, directions, **limits)
-    surface = on_warp_tree(mesh)
+    surface = binary(mesh)
     for wide in (None, np.arange(min(40, mesh.face_count))):
         found, left = any_hits(surface, origins, directions, **limits, wide=wide)
         np.testing.assert_array_equal(found, expected)
@@ -132,7 +125,7 @@ def test_limits_at_the_hit_itself():
     mesh = mesh_catalog.torus()
     rng = np.random.default_rng(3)
     origins, directions = rng.uniform(-1.5, 1.5, (3000, 3)), rng.normal(size=(3000, 3))
-    plain, surface = gk.mesh.Surface(mesh, device="cpu"), on_warp_tree(mesh)
+    plain, surface = gk.mesh.Surface(mesh, device="cpu"), binary(mesh)
     t = plain.raycast(origins, directions).t
     row = np.flatnonzero(np.isfinite(t))[:300]
     for limit in (t[row], np.nextafter(t[row], 0.0), np.nextafter(t[row], np.inf)):
@@ -143,7 +136,7 @@ def test_limits_at_the_hit_itself():
 
 
 def test_far_away_rays_ask_for_float64():
-    surface = on_warp_tree(mesh_catalog.icosphere())
+    surface = binary(mesh_catalog.icosphere())
     assert any_hits(surface, np.array([[1e7, 0.0, 0.0]]), np.array([[-1.0, 1e-7, 0.0]]))[1].all()
 
 
@@ -154,13 +147,13 @@ def test_the_widest_triangles_of_a_hall_and_of_a_scan():
         np.concatenate([each.vertices for each in (hall, *crates)]),
         np.concatenate([each.faces + 8 * k for k, each in enumerate((hall, *crates))]),
     )
-    surface = on_warp_tree(mesh)
+    surface = binary(mesh)
     slots = wide_slots(surface._tree.corners).numpy()
     triangles = surface._tree.slot_triangle.numpy()[slots]
     assert sorted(triangles) == list(range(12))
     corners = mesh.vertices[mesh.faces[triangles]]
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     assert (np.diff(areas) <= 0.0).all()
-    assert len(wide_slots(on_warp_tree(mesh_catalog.torus())._tree.corners)) == 0
+    assert len(wide_slots(binary(mesh_catalog.torus())._tree.corners)) == 0
     flat = gk.mesh.TriangleMesh([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]])
-    assert len(wide_slots(on_warp_tree(flat)._tree.corners)) == 0
+    assert len(wide_slots(binary(flat)._tree.corners)) == 0
