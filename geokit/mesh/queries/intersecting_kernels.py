@@ -19,6 +19,8 @@ VOLUME_ERROR = 8.0e-16
 AREA_ERROR = 3.4e-16
 # Six triple products of differences. A difference has two parts, so each product has eight terms of four parts each.
 PARTS = 192
+# Cosine from which on two faces face each other: those that cross at more than 26 degrees are no contact.
+FACING = 0.9
 
 
 PAIR_CONSTANTS = {
@@ -26,6 +28,7 @@ PAIR_CONSTANTS = {
     "VOLUME_ERROR": VOLUME_ERROR,
     "AREA_ERROR": AREA_ERROR,
     "PARTS": PARTS,
+    "FACING": FACING,
 }
 
 
@@ -56,3 +59,8 @@ def find_pair_kernel(
 ):
     """Whether there is any pair; all threads stop once one is found."""
     find_pair(first + wp.tid(), surface, tree, slot_boxes, itself, unit, out_found)
+
+
+@wp.kernel
+@cpp.native_item("mesh/queries/intersecting.inl", "find_facing", SurfaceTree, **BOX_CONSTANTS, **PAIR_CONSTANTS)
+def find_facing_kernel(first: int): ...

@@ -73,7 +73,8 @@ def boundary_of(surface: Surface) -> Boundary:
         and not _touch(read.bodies, crowded, size, make_surface)
     ):
         crowded, alone = [], read.solids
-    pieces, kept = _joined(oriented, read, crowded, size) if crowded else (None, "")
+    outward = make_surface(oriented) if crowded and flipped.any() else given
+    pieces, kept = _joined(oriented, read, crowded, size, outward) if crowded else (None, "")
     kept = kept or read.said
     if not kept and alone:
         # Where sheets are left, bodies may be inside of others that lack a face.
@@ -155,7 +156,7 @@ def _canonical(corners: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArr
 
 
 def _joined(
-    mesh: TriangleMesh, read: Reading, crowded: list[NDArray[np.int64]], size: float
+    mesh: TriangleMesh, read: Reading, crowded: list[NDArray[np.int64]], size: float, surface: Any
 ) -> tuple[Pieces | None, str]:
     """The boundary of the union, and why surface inside of it is still there; None if no union is right."""
     bodies, judge = read.bodies, read.judge
@@ -171,7 +172,13 @@ def _joined(
         make_surface = partial(judge._of, device=judge._device)
         return verdict_of(mesh.vertices, mesh.faces[rows], pieces, inside, make_surface, size, moved)
 
-    return within_contact(made, verdict, bodies.positions, bodies.corners[rows], size)
+    def near(within: float) -> bool:
+        body = np.full(mesh.face_count, -1, np.int32)
+        for number, some in enumerate(crowded):
+            body[some] = number
+        return bool(surface._faces_up_to(surface, within, body=body))
+
+    return within_contact(made, verdict, bodies.positions, bodies.corners[rows], size, near)
 
 
 def _assembled(mesh: TriangleMesh, rest: NDArray[np.int64], pieces: Pieces | None) -> Pieces:

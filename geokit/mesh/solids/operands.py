@@ -116,10 +116,22 @@ def made_of(operands: Sequence[Operand], begins: Sequence[int], verb: Verb) -> P
         make_surface = partial(operands[0].surface._of, device=operands[0].surface._device)
         return verdict_of(positions, np.concatenate(corners), pieces, inside, make_surface, size, moved)
 
+    surfaces = [operand.surface for operand in operands]
+    lower, upper = np.stack([surface.bounds for surface in surfaces], axis=1)
+
+    def near(within: float) -> bool:
+        meet = np.triu((lower[:, None] <= upper[None] + within).all(axis=2), 1)
+        meet &= (lower[None] <= upper[:, None] + within).all(axis=2)
+        # What is subtracted from the first one lies beside what it leaves of it as if that were inside out.
+        return any(
+            surfaces[one]._faces_up_to(surfaces[other], within, -1.0 if verb == "Subtract" and not one else 1.0)
+            for one, other in np.argwhere(meet)
+        )
+
     # Walls in one plane but for rounding: what is subtracted grows, so that no skin is left of the first one; for an
     # intersection all but the first one shrink, so that bodies that touch have nothing in common.
     sign = 1.0 if verb == "Subtract" else -1.0
-    pieces, kept = within_contact(make, verdict, positions, np.concatenate(corners[1:]), size, sign)
+    pieces, kept = within_contact(make, verdict, positions, np.concatenate(corners[1:]), size, near, sign)
     if pieces is None or kept:
         raise InputError(
             f"others: their {NAMES[verb]} with mesh is not right: winding numbers contradict it; repair the meshes one "
