@@ -170,7 +170,7 @@ def _joined(
             return np.asarray(judge.winding_number(points) > 0.5)
 
         make_surface = partial(judge._of, device=judge._device)
-        return verdict_of(mesh.vertices, mesh.faces[rows], pieces, inside, make_surface, size, moved)
+        return verdict_of(mesh.vertices, mesh.faces[rows], rows, pieces, inside, make_surface, size, moved)
 
     def near(within: float) -> bool:
         body = np.full(mesh.face_count, -1, np.int32)

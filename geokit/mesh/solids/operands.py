@@ -74,7 +74,7 @@ def read_operand(surface: Surface, name: str) -> Operand:
             "level set of it bounds: mesh.from_volume(volume.from_mesh(mesh, voxel_size))"
         )
     mesh, source = (boundary.mesh, boundary.source) if boundary.source is not None else as_counted(surface)
-    bodies = closed_bodies(mesh)[0]
+    bodies = closed_bodies(mesh, surface._topology if mesh is surface.mesh else None)[0]
     loose = np.flatnonzero(bodies.label < 0)
     loose = loose[~collapsed(mesh.vertices[mesh.faces[loose]])]
     if len(loose):
@@ -114,7 +114,8 @@ def made_of(operands: Sequence[Operand], begins: Sequence[int], verb: Verb) -> P
 
     def verdict(pieces: Pieces, moved: float) -> str:
         make_surface = partial(operands[0].surface._of, device=operands[0].surface._device)
-        return verdict_of(positions, np.concatenate(corners), pieces, inside, make_surface, size, moved)
+        rows = np.concatenate([solid.rows + begin for solid, begin in zip(solids, begins, strict=True)])
+        return verdict_of(positions, np.concatenate(corners), rows, pieces, inside, make_surface, size, moved)
 
     surfaces = [operand.surface for operand in operands]
     lower, upper = np.stack([surface.bounds for surface in surfaces], axis=1)

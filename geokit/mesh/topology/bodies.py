@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.mesh.model.triangle_mesh import TriangleMesh
-from geokit.mesh.topology.connectivity import Topology, collapsed_faces, connected_components, position_corners
+from geokit.mesh.topology.connectivity import MeshTopology, Topology, connected_components, mesh_topology
 from geokit.mesh.topology.measures import measure_faces
 from geokit.mesh.topology.orientation import FLAT_SHARE
 
@@ -45,15 +45,15 @@ class Bodies(NamedTuple):
     positions: NDArray[np.float64]
 
 
-def closed_bodies(mesh: TriangleMesh) -> list[Bodies]:
+def closed_bodies(mesh: TriangleMesh, known: MeshTopology | None = None) -> list[Bodies]:
     """The closed bodies of a mesh whose faces are wound alike.
 
     Where edges have faces of which not all go up in pairs, there are two readings, the one with more faces in closed
-    bodies first: without the walls that lie inside of others, or with them.
+    bodies first: without the walls that lie inside of others, or with them. ``known`` is the mesh's topology, if that
+    is there already.
     """
-    at, position_count = position_corners(mesh)
-    kept = np.flatnonzero(~collapsed_faces(at))
-    topology = Topology(at[kept], position_count)
+    _, _, collapsed, topology = known or mesh_topology(mesh)
+    kept = np.flatnonzero(~collapsed)
     found = []
     for outermost in (False, True):
         partner = np.full(3 * len(kept), -1, np.int64)
