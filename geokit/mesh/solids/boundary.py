@@ -135,8 +135,9 @@ def _without_copies(mesh: TriangleMesh, solids: list[NDArray[np.int64]]) -> list
     kept: list[NDArray[np.int64]] = []
     alike: dict[bytes, list[NDArray[np.int64]]] = {}
     for rows in solids:
-        corners = mesh.vertices[mesh.faces[rows]]
-        key = np.concatenate([corners.min(axis=(0, 1)), corners.max(axis=(0, 1)), [len(rows)]]).tobytes()
+        places = np.take(mesh.vertices, mesh.faces[rows].ravel(), axis=0)
+        # Axis by axis: NumPy's reductions over the long axis of an (N, 3) array are ten times slower.
+        key = np.array([len(rows), *(bound for axis in places.T for bound in (axis.min(), axis.max()))]).tobytes()
         alike.setdefault(key, []).append(rows)
     for group in alike.values():
         faces = [_canonical(mesh.vertices[mesh.faces[rows]]) for rows in group if len(group) > 1]

@@ -76,7 +76,8 @@ def _bodies(mesh: TriangleMesh, kept: NDArray[np.int64], partner: NDArray[np.int
     # face goes on.
     following = other + 1 - (other % 3 == 2) * 3
     fan = connected_components(3 * len(kept), paired, following)
-    used, numbers = np.unique(fan, return_inverse=True)
+    is_first = fan == np.arange(len(fan))
+    used, numbers = np.flatnonzero(is_first), np.take(np.cumsum(is_first) - 1, fan)
     corners = np.full((mesh.face_count, 3), -1, np.int32)
     corners[kept] = numbers.reshape(-1, 3)
     corners[label < 0] = -1
