@@ -105,24 +105,17 @@ static constexpr auto find_facing = [](int item, const SurfaceTree& surface, con
                                        double margin, double facing, wp::array_t<int>& out_found) {
     if (out_found.data[0]) return;
     visit_near(item, surface, tree, slot_boxes, itself, margin, [&](int slot, int other) {
-        if (itself) {
-            const int one = body.data[surface.slot_triangle.data[slot]];
-            const int another = body.data[tree.slot_triangle.data[other]];
-            if (one < 0 || another < 0 || one == another) return;
-        }
+        const int *b = body.data, one = itself ? b[surface.slot_triangle.data[slot]] : 0;
+        const int another = itself ? b[tree.slot_triangle.data[other]] : 1;
+        if (one < 0 || another < 0 || one == another) return;
         const point *t = surface.corners.data + 3 * slot, *u = tree.corners.data + 3 * other;
         const point n = wp::cross(t[1] - t[0], t[2] - t[0]), m = wp::cross(u[1] - u[0], u[2] - u[0]);
         if (facing * wp::dot(n, m) > -FACING * wp::length(n) * wp::length(m)) return;
-        // Whether all corners of a triangle are on one side of another's plane, farther away than the margin.
-        auto beyond = [&](const point* plane, const point& normal, const point* corners) {
-            double least = INFINITY, most = -INFINITY;
-            for (int k = 0; k < 3; ++k) {
-                const double height = wp::dot(normal, corners[k] - plane[0]);
-                least = wp::min(least, height);
-                most = wp::max(most, height);
-            }
-            return wp::max(least, -most) > margin * wp::length(normal);
+        // Whether a triangle lies on one side of a plane, farther away than the margin.
+        auto beyond = [&](const point& on, const point& normal, const point* q) {
+            const double a = wp::dot(normal, q[0] - on), b = wp::dot(normal, q[1] - on), c = wp::dot(normal, q[2] - on);
+            return wp::max(wp::min(wp::min(a, b), c), -wp::max(wp::max(a, b), c)) > margin * wp::length(normal);
         };
-        if (!beyond(t, n, u) && !beyond(u, m, t)) out_found.data[0] = 1;
+        if (!beyond(t[0], n, u) && !beyond(u[0], m, t)) out_found.data[0] = 1;
     });
 };

@@ -48,17 +48,9 @@ def fill_pairs_kernel(first: int):
 
 
 @wp.kernel
-def find_pair_kernel(
-    first: int,
-    surface: SurfaceTree,
-    tree: SurfaceTree,
-    slot_boxes: wp.array(dtype=wp.float32),
-    itself: bool,
-    unit: wp.float64,
-    out_found: wp.array(dtype=int),
-):
+@cpp.native_item("mesh/queries/intersecting.inl", "find_pair", SurfaceTree, **BOX_CONSTANTS, **PAIR_CONSTANTS)
+def find_pair_kernel(first: int):
     """Whether there is any pair; all threads stop once one is found."""
-    find_pair(first + wp.tid(), surface, tree, slot_boxes, itself, unit, out_found)
 
 
 @wp.kernel

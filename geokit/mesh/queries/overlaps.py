@@ -151,31 +151,27 @@ class OverlapQueries:
 
         from geokit.mesh.queries.intersecting_kernels import find_pair_kernel
 
-        found = host_flags(1, self._device)
-        launcher.launch(
-            find_pair_kernel, self._leaf_count, self._pair_inputs(self), [found], self._device, grain=LEAF_GRAIN
-        )
-        return bool(found.numpy()[0])
+        return self._any_leaf(find_pair_kernel, self._pair_inputs(self))
 
     def _faces_up_to(
         self, other: "OverlapQueries", within: float, facing: float = 1.0, body: NDArray[np.int32] | None = None
     ) -> bool:
         """Whether triangles of two bodies, both wound outward, may face each other, no farther apart than ``within``.
 
-        Args:
-            other: The other body, or this surface.
-            within: The distance [world].
-            facing: -1 where one of the two bodies is wound inward.
-            body: Of this surface: the body of each face (F,), -1 for those of none.
+        ``facing`` is -1 where one body is wound inward. Where ``other`` is this surface, ``body`` has the body of each
+        face, -1 for none.
         """
         import warp as wp
 
         from geokit.mesh.queries.intersecting_kernels import find_facing_kernel
 
-        found, device = host_flags(1, self._device), self._device
-        label = wp.array(np.zeros(0, np.int32) if body is None else body, dtype=wp.int32, device=device)
+        label = wp.array(np.zeros(0, np.int32) if body is None else body, dtype=wp.int32, device=self._device)
         inputs = [*self._pair_inputs(other)[:-1], label, wp.float64(within), wp.float64(facing)]
-        launcher.launch(find_facing_kernel, self._leaf_count, inputs, [found], device, grain=LEAF_GRAIN)
+        return self._any_leaf(find_facing_kernel, inputs)
+
+    def _any_leaf(self, kernel: Any, inputs: list[Any]) -> bool:
+        found = host_flags(1, self._device)
+        launcher.launch(kernel, self._leaf_count, inputs, [found], self._device, grain=LEAF_GRAIN)
         return bool(found.numpy()[0])
 
     def _pairs(self, other: "OverlapQueries") -> NDArray[np.int32]:

@@ -48,10 +48,8 @@ def within_contact(
 
     as_given = made(0.0)
     # Each of two faces moves by CONTACT at most; the rest is for rounding.
-    if as_given is not None and not near(2.5 * CONTACT * size):
-        found = verdict(as_given, 0.0)
-        if not found:
-            return as_given, ""
+    if as_given is not None and not near(2.5 * CONTACT * size) and not verdict(as_given, 0.0):
+        return as_given, ""
     moved = made(CONTACT)
     # Where bodies touch but for rounding, both sides of the contact are there until they move together.
     before, after = (

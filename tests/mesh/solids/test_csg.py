@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from geokit.errors import InputError, MissingDependencyError
 from geokit.mesh import MeshPart, TriangleMesh, audit, box, cylinder, difference, intersection, sphere, torus, union
+from geokit.mesh.solids import boundary, operands, pieces
 from tests.support.assemblies import blocks, concatenated, in_float32, sheet, star, turned
 
 EMPTY = TriangleMesh([], [])
@@ -71,6 +74,29 @@ def test_walls_in_one_plane_but_for_rounding_leave_no_skin(name: str, seed: int)
         one, other = map(in_float32, both) if single else both
         check(difference(one, other), alone, areas[0], tolerance)
         check(intersection(one, other), common, areas[1], tolerance)
+
+
+@pytest.mark.parametrize("seed", [None, 0])
+@pytest.mark.parametrize(
+    ("verb", "meshes", "once"),
+    [
+        (union, PAIRS["in a corner"][:2], True),
+        (union, PAIRS["touch in a face"][:2], False),
+        (difference, PAIRS["in a corner"][:2], True),
+        (difference, PAIRS["share a wall"][:2], False),
+        (difference, (box((4, 4, 4)), box(), box(center=(0, 0, 1))), False),
+        (intersection, PAIRS["in a corner"][:2], True),
+        (intersection, PAIRS["touch in a face"][:2], False),
+    ],
+)
+def test_bodies_are_moved_only_where_faces_of_two_face_each_other_within_contact(
+    verb: Any, meshes: Any, once: bool, seed: int | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = []
+    for room in (boundary, operands):
+        monkeypatch.setattr(room, "combined", lambda *given: made.append(given) or pieces.combined(*given))
+    verb(*(mesh if seed is None else turned(mesh, seed, 0.3) for mesh in meshes))
+    assert (len(made) == 1) == once
 
 
 def test_bodies_that_are_inside_out_are_turned_first() -> None:
