@@ -15,8 +15,7 @@ made of sums, products and square roots, which every machine rounds alike, and o
 
 Left out, since they are not the same twice: times (``seconds`` of :func:`geokit.volume.plan`, what
 :mod:`geokit.accuracy` measures), bytes of .vdb, .3mf, .usdc and .las files (random identifiers, dates), bytes of .nvdb
-files that Blosc compressed (blocks in the order in which its threads end), and figures. OpenVDB runs on one thread: its
-averages over nodes are sums in the order in which threads end.
+files that Blosc compressed (blocks in the order in which its threads end), and figures.
 """
 
 from __future__ import annotations
@@ -46,6 +45,7 @@ import numpy as np
 import warp as wp
 
 import geokit as gk
+from geokit import native
 
 ROOT = Path(__file__).resolve().parents[1]
 SAMPLES = ROOT / "data" / "samples"
@@ -170,23 +170,6 @@ def one_processor() -> Iterator[None]:
         yield
     finally:
         os.sched_setaffinity(0, allowed)
-
-
-@functools.cache
-def has_openvdb() -> bool:
-    """Whether geokit was built with OpenVDB, which from here on runs on one thread.
-
-    Its pool of threads counts the processors when it is first used.
-    """
-    grid = gk.volume.from_dense(np.ones((3, 3, 3)), voxel_size=1.0)
-    try:
-        with one_processor():
-            gk.volume.prune(grid)
-    except gk.MissingDependencyError:
-        return False
-    except Exception:
-        return True  # it is broken: its rows say how
-    return True
 
 
 def with_warnings(call: Callable[[], Any]) -> Any:
@@ -640,6 +623,7 @@ def mesh_rows(given: Inputs) -> Rows:
         yield Row(f"mesh.merge_vertices.{name}", lambda n=name: merged(given.mesh(n)))
         yield Row(f"mesh.drop_degenerate.{name}", lambda n=name: dropped(given.mesh(n)))
         yield Row(f"mesh.repair.{name}", lambda n=name: gk.mesh.repair(given.mesh(n)))
+        yield Row(f"mesh.remove_self_intersections.{name}", lambda n=name: untangled(given.mesh(n)))
         yield from surface_rows(given, name)
     yield from container_rows(given)
     yield from sampling_rows(given)
@@ -650,6 +634,13 @@ def mesh_rows(given: Inputs) -> Rows:
     yield Row(
         "mesh.TriangleMesh.empty", lambda: [triangles([], [], "empty"), gk.mesh.audit(triangles([], [], "empty"))]
     )
+
+
+def untangled(mesh: gk.mesh.TriangleMesh) -> Any:
+    """The mesh with a few vertices pushed through its middle, and mended."""
+    vertices = mesh.vertices.copy()
+    vertices[:: max(1, mesh.vertex_count // 4)] *= -1.5
+    return gk.mesh.remove_self_intersections(gk.mesh.TriangleMesh(vertices, mesh.faces))
 
 
 def merged(mesh: gk.mesh.TriangleMesh) -> Any:
@@ -1279,8 +1270,7 @@ def adaptive(given: Inputs, name: str, tolerance: float, **options: Any) -> Any:
 def adaptive_again(given: Inputs, name: str, codec: str | None) -> gk.volume.AdaptiveSDF:
     path = given.folder() / name
     gk.volume.adaptive_from_mesh(given.surface("bracket"), 0.5, name="field").save(path, codec=codec)
-    with one_processor():
-        return gk.volume.load_adaptive(path)
+    return gk.volume.load_adaptive(path)
 
 
 def blosc(codec: str | None) -> tuple[str, ...]:
@@ -1742,8 +1732,7 @@ def volume_file_rows(given: Inputs) -> Rows:
 
 
 def loaded(path: Path, load: Callable[[Path], Any] | None = None) -> Any:
-    with one_processor():
-        return (load or gk.volume.load_all)(path)
+    return (load or gk.volume.load_all)(path)
 
 
 def saved_volumes(given: Inputs, volumes: list[Any], codec: str | None = None) -> Path:
@@ -1774,15 +1763,13 @@ def volume_again(given: Inputs, name: str, volumes: list[Any], **options: Any) -
     if path.suffix == ".vdb" or options.get("codec"):
         # Of a file's compressed bytes: those are the library's.
         about = [dataclasses.replace(info, byte_count=0) for info in about]
-    with one_processor():
-        return [gk.volume.load_all(path), about]
+    return [gk.volume.load_all(path), about]
 
 
 def trusted(given: Inputs, volumes: list[Any]) -> Any:
     path = given.folder() / "trusted.vdb"
     gk.volume.save(path, *volumes)
-    with one_processor():
-        return [gk.volume.load(path, grid="scan", trusted=True), gk.volume.load_all(path, trusted=True)]
+    return [gk.volume.load(path, grid="scan", trusted=True), gk.volume.load_all(path, trusted=True)]
 
 
 def operated(given: Inputs) -> Any:
@@ -2375,7 +2362,7 @@ def accuracy_rows(given: Inputs) -> Rows:
     )
     for sweep in found:
         yield Row(f"accuracy.follow.{sweep.name}", lambda s=sweep: followed(s))
-    if not has_openvdb():
+    if not native.available():
         # The sweep that is left out there.
         yield Row("accuracy.follow.smooth_gaussian_radius", lambda: None, (OPENVDB,))
     yield Row(
@@ -2449,7 +2436,7 @@ def raised(error: Exception) -> None:
 
 def line_of(row: Row, hasher: Hasher) -> str:
     """The line of a row, whatever happens."""
-    if not all(has_openvdb() if name == OPENVDB else importlib.util.find_spec(name) for name in row.needs):
+    if not all(native.available() if name == OPENVDB else importlib.util.find_spec(name) for name in row.needs):
         return f"{row.name} {UNAVAILABLE}"
     try:
         with warnings.catch_warnings():
@@ -2494,7 +2481,7 @@ def main() -> int:
     before = parsed(options.compare.read_text(encoding="utf-8").splitlines()) if options.compare else {}
     print(f"geokit {gk.__version__} of {gk.__file__}, {options.device}", file=sys.stderr)
     wp.config.log_level = wp.LOG_WARNING
-    print(f"OpenVDB is {'there' if has_openvdb() else 'not there'}", file=sys.stderr)
+    print(f"OpenVDB is {'there' if native.available() else 'not there'}", file=sys.stderr)
     lines, times, began = [], [], time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
         given, hasher = Inputs(options.device, Path(folder)), Hasher(Path(folder))

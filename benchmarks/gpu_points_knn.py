@@ -1,4 +1,7 @@
-"""Nearest neighbors on a GPU: comparison with the CPU's answers, and times against a tiled brute force in raw warp."""
+"""Nearest neighbors on a GPU: comparison with the CPU's answers, and times beside a tiled brute force in raw warp.
+
+Where jztree and jax are installed (``pip install jztree[cuda13] jax[cuda13]``), beside jztree's k nearest too.
+"""
 
 from __future__ import annotations
 
@@ -19,6 +22,10 @@ K = 16
 TILE = wp.constant(256)
 THREADS = 128
 RUNS = 5
+# Points and lengths of the comparison with jztree.
+PEER_POINTS, PEER_LENGTHS = (1 << 20, 1 << 23), (1, 8, 16, 32, 64, 100, 128)
+# Numbers of the largest result that is asked for.
+MOST_NUMBERS = 1 << 30
 # Queries of a block of torch: their distances to a million points take 8 GiB.
 BLOCK = 2048
 
@@ -179,11 +186,49 @@ def check_times(out: Callable[[str], None], device: str, count: int = POINTS) ->
         out(f"| {name} | {brute * 1e3:.0f} | {float(count) ** 2 / brute / 1e9:.0f} | {brute / ours:.0f} times |")
 
 
+def jztree_search(points: np.ndarray, k: int) -> Callable[[], Any] | None:
+    """The k nearest points by jztree in float32, its tree included, if it is installed: distances and indices."""
+    try:
+        import jax
+        from jztree.knn import knn
+    except ImportError:
+        return None
+    rows, search = jax.numpy.asarray(points, dtype=jax.numpy.float32), jax.jit(partial(knn, k=k))
+    return lambda: jax.block_until_ready(search(rows))
+
+
+def check_jztree(out: Callable[[str], None], device: str) -> None:
+    """Times with the trees included beside jztree's, after comparing the distances."""
+    if jztree_search(np.zeros((64, 3)), 1) is None:
+        out("jztree is not installed")
+        return
+    out("| points | k | geokit (ms) | jztree, float32 (ms) | times as fast | largest difference of distances |")
+    out("|---|---:|---:|---:|---:|---:|")
+    for count in PEER_POINTS:
+        for kind in ("uniform", "half in 1%"):
+            points = clouds(count)[kind]
+            rows = wp.array(points, dtype=wp.vec3d, device=device)
+            for k in PEER_LENGTHS:
+                peer = jztree_search(points, k) if count * k <= MOST_NUMBERS else None
+                if peer is None:
+                    continue
+                # Where points are at the same place in float32, neither list is wrong.
+                apart = np.abs(nearest(build_tree(rows), k, None)[0].numpy() - np.asarray(peer()[0])).max()
+                ours = wall_median(lambda rows=rows, k=k: nearest(build_tree(rows), k, None), RUNS)
+                theirs = wall_median(peer, RUNS)
+                out(
+                    f"| {count:,} {kind} | {k} | {ours * 1e3:.1f} | {theirs * 1e3:.1f} | {theirs / ours:.2f} | "
+                    f"{apart:.1e} |"
+                )
+
+
 def main(out: Callable[[str], None], device: str = "cuda:0") -> None:
     """Print the tables."""
     check_bits(out, device)
     out("")
     check_times(out, device)
+    out("")
+    check_jztree(out, device)
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ def repair(
     *,
     tolerance: AnyLength | None = None,
     max_width: AnyLength | None = None,
+    untangle: int | None = None,
     from_unit: FromUnit = None,
     common: Common = DEFAULTS,
 ) -> None:
@@ -28,17 +29,22 @@ def repair(
         source: The mesh to repair.
         tolerance: Distance within which vertices are merged; by default only those at one place are.
         max_width: Holes wider than this stay open; by default all are filled.
+        untangle: Rings of faces that are cut out at most where the mesh crosses itself; by default it may.
     """
     from geokit import mesh
 
     may_write(target, "mesh", force=common.force)
     require_kind(source, "mesh")
-    with step(f"repairing {source}", quiet=common.json), called(("^mesh(?=:)", source)):
+    names = ("^mesh(?=:)", source), ("^rings(?=:)", "--untangle"), ("repair first, more rings", "a larger --untangle")
+    with step(f"repairing {source}", quiet=common.json), called(*names):
         found = mesh.convert_unit(mesh.load(source), from_unit=from_unit)
         meters = found.meters_per_unit
         made, *counts, holes = mesh.repair(found, **lengths_in(meters, tolerance=tolerance, max_width=max_width))
+        facts: dict[str, float] = dict(zip(("merged", "dropped", "flipped"), counts, strict=True))
+        if untangle is not None:
+            made, _, *cut = mesh.remove_self_intersections(made, rings=untangle)
+            facts |= zip(("faces_cut", "places", "deviation"), cut, strict=True)
         audit = mesh.audit(made, self_intersections=True)
-    facts = dict(zip(("merged", "dropped", "flipped"), counts, strict=True))
     left = {"open": int((~holes.filled).sum()), "non_manifold_edges": audit.non_manifold_edge_count}
     left |= {"crossing_pairs": int(audit.self_intersection_count or 0), "watertight": audit.watertight}
     deliver_mesh(made, target, common, **unit_of(meters), **facts, filled=int(holes.filled.sum()), **left)

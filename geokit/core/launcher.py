@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from geokit.core import kernel_cache
-from geokit.core.launches import launch_cache, replay, warp_private
+from geokit.core.launches import prepared, warp_private
 from geokit.core.memory import needs
 from geokit.core.memory.unchecked import sort_pairs
 from geokit.core.require import described
@@ -298,22 +298,23 @@ def launch(
     load_module(kernel.module, device)
     if device.is_cuda:
         _require_cuda()
-        replay.refuse()
-        launch_cache.run(kernel, count, [0, *inputs, *outputs], device, BLOCK_DIM)
+        prepared.refuse()
+        prepared.bound(kernel, count, [0, *inputs, *outputs], device, BLOCK_DIM)()
         return
     # Warp runs a CPU launch on one thread and releases the GIL, so slices can run side by side.
     threads = thread_count()
     size = max(grain or MINIMUM_SLICE, -(-count // (threads * SLICES_PER_THREAD)))
     if threads == 1 or count <= size:
         arguments = [0, *inputs, *outputs]
-        if recorder := replay.current():
-            recorder.launch(kernel, count, arguments, outputs, device)
-        launch_cache.run(kernel, count, arguments, device, 1)
+        call = prepared.bound(kernel, count, arguments, device, 1)
+        if recording := prepared.current():
+            recording.launch(call, arguments, outputs, device)
+        call()
         return
-    replay.refuse()
+    prepared.refuse()
 
     def run_slice(first: int) -> None:
-        launch_cache.run(kernel, min(size, count - first), [first, *inputs, *outputs], device, 1)
+        prepared.bound(kernel, min(size, count - first), [first, *inputs, *outputs], device, 1)()
 
     _pool(threads).run(run_slice, range(0, count, size), min(threads, -(-count // size)))
 
@@ -327,7 +328,6 @@ def launch_queries(
     *,
     lower: Any,
     extent: float,
-    streams: Sequence["wp.array"] = (),
     group: int = 0,
     flags: Sequence[Any] = (),
 ) -> None:
@@ -336,8 +336,8 @@ def launch_queries(
     Answers do not depend on the order; it only decides which queries share the caches.
 
     Args:
-        kernel: ``(first: int, order, points, *streams, *inputs, *outputs)``; its query is ``order[first + wp.tid()]``.
-            Where ``group`` is not 0 it is ``(first: int, group: int, order, points, *streams, *inputs, *outputs)``; its
+        kernel: ``(first: int, order, points, *inputs, *outputs)``; its query is ``order[first + wp.tid()]``.
+            Where ``group`` is not 0 it is ``(first: int, group: int, order, points, *inputs, *outputs)``; its
             queries are ``order[k]`` for the ``group`` values of ``k`` from ``group * (first + wp.tid())`` on.
         points: Positions (N,) of vec3d that decide the order [world].
         inputs: Arguments that all queries share.
@@ -345,17 +345,15 @@ def launch_queries(
         device: The device of the arrays.
         lower: Lower corner [world] of the box that the Morton keys resolve, three numbers; points outside are clamped.
         extent: Edge length [world] of that box.
-        streams: Further input arrays with one row per point.
         group: Queries that one thread answers in sequence, each starting from its neighbor's answer; 0 for one each.
         flags: Further outputs, after the others, that all queries share.
     """
     total = len(points)
     for start in range(0, total, BLOCK):
         stop = min(total, start + BLOCK)
-        block, *rows = (a if stop - start == total else a[start:stop] for a in (points, *streams, *outputs))
+        block, *rows = (a if stop - start == total else a[start:stop] for a in (points, *outputs))
         order = morton_order(block, lower, extent, device)
-        arguments = [order, block, *rows[: len(streams)], *inputs]
-        results = [*rows[len(streams) :], *flags]
+        arguments, results = [order, block, *inputs], [*rows, *flags]
         if group:
             groups = -(-len(block) // group)
             launch(kernel, groups, [group, *arguments], results, device, grain=GROUP_GRAIN)

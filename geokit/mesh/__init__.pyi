@@ -28,6 +28,7 @@ from ._repair import (
 )
 from ._fill_holes import fill_holes as fill_holes, FilledHoles as FilledHoles
 from ._repair_mesh import repair as repair, Repaired as Repaired
+from ._untangle import remove_self_intersections as remove_self_intersections, Untangled as Untangled
 
 # Pieces, affine maps, and simple bodies.
 from ._split import split as split, keep_largest as keep_largest

@@ -11,19 +11,19 @@ from numpy.typing import NDArray
 from geokit.core.equal_rows import repeated_triples
 from geokit.core.frame import Frame
 from geokit.core.interop.types import MeshLike
-from geokit.core.interop.user_arrays import require_finite_scalar
+from geokit.core.interop.user_arrays import FROM_ZERO, require_finite_scalar
 from geokit.core.memory.needs import needs
 from geokit.mesh._repair import orient
 from geokit.mesh.attributes.derived import derived, with_data
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.surfaces.objects import require_mesh
 from geokit.mesh.surfaces.surface import Surface
-from geokit.mesh.topology.connectivity import Topology, mesh_topology
+from geokit.mesh.topology.connectivity import mesh_topology
 from geokit.mesh.topology.normals import face_normals
 from geokit.mesh.topology.rim_patches import patches
 from geokit.mesh.topology.rims import Rims, edges_within, find_rims
 
-__all__ = ["FilledHoles", "fill_holes"]
+__all__ = ["FilledHoles", "fill_holes", "rim_points", "unclashing", "with_patches"]
 
 # Points of a rim whose distances are all measured.
 MOST_PAIRED = 512
@@ -82,20 +82,17 @@ def fill_holes(mesh: MeshLike, *, max_width: float = math.inf) -> FilledHoles:
         (1.0, 1, array([1.414]))
     """
     given, flipped, _ = orient(require_mesh(mesh, "mesh"))
-    max_width = require_finite_scalar(max_width, "max_width", low=-math.ulp(0.0), infinite=True)
+    max_width = require_finite_scalar(max_width, "max_width", low=FROM_ZERO, infinite=True)
     _, _, collapsed, topology = mesh_topology(given)
     rims = find_rims(topology)
     face = np.flatnonzero(~collapsed)[rims.half_edges // 3]
     corner = 3 * face + rims.half_edges % 3
-    frame = Frame.around(*given.bounds)
-    points = (given.vertices[given.faces.reshape(-1)[corner]] - frame.origin) / frame.scale
-    each = np.split(points, rims.begin[1:-1])[: len(rims.is_loop)]
-    width = np.array([_width(rim) for rim in each])
-    center = frame.scale * np.array([rim.mean(axis=0) for rim in each]).reshape(-1, 3) + frame.origin
-    wanted = rims.is_loop & (frame.scale * width <= max_width) & (width > 0.0)
-    points /= np.where(width > 0.0, width, 1.0).repeat(np.diff(rims.begin))[:, None]
-    rows, hole = _unclashing(given, topology, rims, points, wanted, width, corner)
-    full, of_face = _with_patches(given, corner[rows], face[rims.begin[hole]], hole)
+    points, width, center = rim_points(given, rims, corner)
+    wanted = rims.is_loop & (width <= max_width) & (width > 0.0)
+    beside = face_normals(TriangleMesh(given.vertices, given.faces[face]))
+    fixed = edges_within(topology, rims.begin, topology.start[rims.half_edges]), beside
+    rows, hole = unclashing(given, rims, points, wanted, width, corner, fixed)
+    full, of_face = with_patches(given, corner[rows], face[rims.begin[hole]], hole)
     filled = np.zeros(len(width), bool)
     filled[hole] = True
     # Bodies in bodies are told apart by the input's winding, once both are closed.
@@ -103,21 +100,42 @@ def fill_holes(mesh: MeshLike, *, max_width: float = math.inf) -> FilledHoles:
     back[of_face < 0] = flipped
     turned = np.where(back[:, None], full.faces[:, ::-1], full.faces)
     wound = orient(derived(full, full.vertices, turned, reversed_faces=back)).mesh
-    return FilledHoles(wound, of_face, frame.scale * width, center, filled)
+    return FilledHoles(wound, of_face, width, center, filled)
 
 
-def _unclashing(
+def rim_points(
+    mesh: TriangleMesh, rims: Rims, corner: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Points of rims in units of their width (R, 3), widths [world] (H,), means of the points [world] (H, 3).
+
+    ``corner`` is the corner of the mesh where each half-edge of the rims starts (R,).
+    """
+    frame = Frame.around(*mesh.bounds)
+    points = (mesh.vertices[mesh.faces.reshape(-1)[corner]] - frame.origin) / frame.scale
+    each = np.split(points, rims.begin[1:-1])[: len(rims.is_loop)]
+    width = np.array([_width(rim) for rim in each])
+    center = frame.scale * np.array([rim.mean(axis=0) for rim in each]).reshape(-1, 3) + frame.origin
+    points /= np.where(width > 0.0, width, 1.0).repeat(np.diff(rims.begin))[:, None]
+    return points, frame.scale * width, center
+
+
+def unclashing(
     mesh: TriangleMesh,
-    topology: Topology,
     rims: Rims,
     points: NDArray[np.float64],
     wanted: NDArray[np.bool_],
     width: NDArray[np.float64],
     corner: NDArray[np.int64],
+    fixed: tuple[NDArray[np.int64], NDArray[np.float64]],
+    source: Surface | None = None,
+    gone: NDArray[np.bool_] | None = None,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Corners of patches' faces as rows of the rims (T, 3), and the hole of each (T,); faces that clash are refused."""
-    fixed = edges_within(topology, rims), face_normals(TriangleMesh(mesh.vertices, mesh.faces[corner // 3]))
-    rows, hole, source = np.zeros((0, 3), np.int64), np.zeros(0, np.int64), None
+    """Triangles as rows of the rims (T, 3), and the hole of each (T,); none that clashes with faces of the mesh.
+
+    ``points``, ``width`` and ``corner`` are those of :func:`rim_points`, ``fixed`` are edges and normals as in
+    :func:`patches`. ``source`` is the surface of the mesh, if there is one; faces that are ``gone`` (F,) do not count.
+    """
+    rows, hole = np.zeros((0, 3), np.int64), np.zeros(0, np.int64)
     refused = rows
     for _ in range(TRIALS):
         more, of_hole = patches(rims, points, wanted, refused, *fixed)
@@ -125,7 +143,7 @@ def _unclashing(
         if not len(more):
             break
         source = source or Surface(mesh, device="cpu")
-        clashes = _clashing(source, mesh.faces.reshape(-1)[corner[rows]], hole, width)
+        clashes = _clashing(source, mesh.faces.reshape(-1)[corner[rows]], hole, width, gone)
         wanted = np.isin(np.arange(len(width)), hole[clashes])
         refused = np.concatenate([refused, rows[clashes]])
         rows, hole = rows[~wanted[hole]], hole[~wanted[hole]]
@@ -140,7 +158,7 @@ def _width(points: NDArray[np.float64]) -> float:
     return float(np.linalg.norm(points[:, None] - points, axis=-1).max())
 
 
-def _with_patches(
+def with_patches(
     mesh: TriangleMesh, corners: NDArray[np.int64], beside: NDArray[np.int64], hole: NDArray[np.int64]
 ) -> tuple[TriangleMesh, NDArray[np.int32]]:
     """The mesh with patches, and the hole of each face (F,).
@@ -162,11 +180,16 @@ def _with_patches(
 
 
 def _clashing(
-    source: Surface, faces: NDArray[np.int32], hole: NDArray[np.int64], width: NDArray[np.float64]
+    source: Surface,
+    faces: NDArray[np.int32],
+    hole: NDArray[np.int64],
+    width: NDArray[np.float64],
+    gone: NDArray[np.bool_] | None,
 ) -> NDArray[np.int64]:
     """Patches' faces that intersect or repeat others, or give an edge a third face; of two that of the wider patch."""
     made = Surface(TriangleMesh(source.mesh.vertices, faces), device="cpu")
     touched = np.unique(made.intersecting_triangles(source)[:, 1])
+    touched = touched if gone is None else touched[~gone[touched]]
     near = TriangleMesh(source.mesh.vertices, np.concatenate([source.mesh.faces[touched], faces]))
     corners, _, collapsed, topology = mesh_topology(near)
     first = np.repeat(topology.starts, topology.uses)

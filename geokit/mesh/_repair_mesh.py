@@ -49,7 +49,7 @@ def repair(mesh: MeshLike, *, tolerance: float = 0.0, max_width: float = math.in
     between their neighbors. Then holes are filled as by :func:`fill_holes`, which winds faces as :func:`orient` does.
 
     Edges of three faces, and faces that intersect, are left: :func:`audit` counts them. :func:`union` removes what lies
-    inside of bodies, and :func:`wrap` makes a solid of anything.
+    inside of bodies, :func:`remove_self_intersections` folds and spikes, and :func:`wrap` makes a solid of anything.
 
     Args:
         mesh: The mesh; it may be empty.

@@ -14,7 +14,7 @@ from geokit.core.interop.user_arrays import require_finite_scalar
 from geokit.core.memory import available_memory
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_choice, require_count
-from geokit.errors import DeviceMemoryError, InputError
+from geokit.errors import InputError
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.queries import poisson_disk
 from geokit.mesh.surfaces.objects import require_mesh
@@ -110,13 +110,11 @@ def sample_surface(
     generator = np.random.default_rng(require_count(seed, "seed"))
     if count == 0:
         return SurfaceSamples(np.empty((0, 3)), np.empty(0, np.int32), np.empty((0, 3)), 0.0)
-    need, have = (count or 0) * BYTES_PER_SAMPLE, available_memory.available_host()
-    if need > have:
-        raise DeviceMemoryError(
-            f"count: {count} points need {need >> 20} MiB of the {have >> 20} MiB free; ask for "
-            f"{have // BYTES_PER_SAMPLE} or fewer",
-            need=need,
-        )
+    available_memory.require_room(
+        (count or 0) * BYTES_PER_SAMPLE,
+        f"count: {count} points need",
+        lambda times: f"ask for {int((count or 0) / times)} or fewer",
+    )
     scale, areas = scaled_areas(mesh)
     bounds = np.cumsum(areas)
     label = mesh.name or "the mesh"

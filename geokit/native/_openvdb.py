@@ -382,13 +382,8 @@ def mesh_to_level_set(
             f"voxel_size {voxel_size} is too small for vertices this far from the origin; use a larger one"
         )
     # Whatever the mesh, its band is no smaller than a ball of that radius.
-    need, have = 4.0 * 4.18 * half_width**3, available_memory.available_host()
-    if need > have:
-        raise DeviceMemoryError(
-            f"half_width: a band of {half_width:g} voxels needs {need / 2**20:.3g} MiB or more of the {have >> 20} MiB "
-            "free; use a smaller one",
-            need=need,
-        )
+    what = f"half_width: a band of {half_width:g} voxels needs"
+    available_memory.require_room(4.0 * 4.18 * half_width**3, what, "use a smaller one")
     indices = np.ascontiguousarray(triangles, dtype=np.int32)
     return _call("mesh", lambda: extension.mesh_to_level_set(points, indices, voxel_size, half_width), is_argument=True)
 

@@ -305,7 +305,7 @@ def _add_mesh(pv: Any, plotter: Any, mesh: "TriangleMesh", color: Any, material:
         plotter.add_mesh(shaded(surface), color=_named_color(pv, color, SURFACE_COLOR), **material)
         return
     counts = {"vertices": len(mesh.vertices), "faces": len(mesh.faces)}
-    what, values = checked_values(color, "color", counts)
+    what, values = checked_values(color, counts)
     data = surface.point_data if what == "vertices" else surface.cell_data
     data["value"] = values
     # Splitting at sharp edges copies vertices together with their values.
@@ -430,7 +430,7 @@ def _add_points(pv: Any, plotter: Any, points: PointCloud, color: Any, point_siz
     if color is None or isinstance(color, str):
         plotter.add_mesh(cloud, style="points", color=_named_color(pv, color, POINT_COLOR), **shape)
         return
-    _, values = checked_values(color, "color", {"points": len(table)})
+    _, values = checked_values(color, {"points": len(table)})
     plotter.add_mesh(cloud, style="points", **look.colored(values), **shape)
 
 

@@ -15,7 +15,7 @@ from geokit.core.interop.types import Device
 from geokit.core.memory import available_memory
 from geokit.core.memory.needs import needs
 from geokit.core.require import described, read_array, require_text, require_unrecorded
-from geokit.errors import DeviceMemoryError, InputError, UnsupportedGridError
+from geokit.errors import InputError, UnsupportedGridError
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import info_of
 from geokit.volume.nanovdb.layout import LAYOUTS
@@ -27,7 +27,7 @@ from geokit.volume.tree.dense_tiles import (
     DenseTiles,
     mark_inside,
 )
-from geokit.volume.tree.dense_typed import DenseRule, background_of, layout_for, tree_of_dense
+from geokit.volume.tree.dense_typed import DenseRule, background_of, layout_for, require_leaves, tree_of_dense
 from geokit.volume.tree.device_leaves import fill_leaves
 from geokit.volume.tree.grid_head import GridHead, checked_head
 from geokit.volume.tree.leaves import require_volume
@@ -152,9 +152,7 @@ def from_dense(
     last = start + np.array(dense.shape[:3])
     if (start < INT32.min).any() or (last - 1 > INT32.max).any():
         raise InputError(f"origin: {start.tolist()} puts voxels beyond int32; use a smaller one")
-    tolerance = user_arrays.require_finite_scalar(tolerance, "tolerance")
-    if tolerance < 0.0:
-        raise InputError(f"tolerance: {tolerance} is negative; use 0 or more")
+    tolerance = user_arrays.require_finite_scalar(tolerance, "tolerance", low=user_arrays.FROM_ZERO)
     if layout.name == "float":
         with np.errstate(over="ignore"):
             background = float(np.float32(user_arrays.require_finite_scalar(background, "background")))
@@ -174,13 +172,7 @@ def from_dense(
 
 def _float_grid(tiles: DenseTiles, head: GridHead) -> NDArray[np.uint8]:
     leaves, inside = tiles.sort_out()
-    need, have = len(leaves) * BYTES_PER_FILLED_LEAF, available_memory.available_host()
-    if need > have:
-        raise DeviceMemoryError(
-            f"values: {len(leaves)} leaves need {need >> 20} MiB of the {have >> 20} MiB free; use a larger tolerance, "
-            "or parts of the array",
-            need=need,
-        )
+    require_leaves(len(leaves), BYTES_PER_FILLED_LEAF)
     buffer = fill_leaves(head, leaves.astype(np.int32), lambda *rows: tiles.fill(leaves, *rows))
     mark_inside(buffer, inside, head.background)
     return buffer
@@ -237,13 +229,8 @@ def to_dense(
         raise InputError(f"bounds: {box.tolist()} is not a box of int32 indices; give its first and its last voxel")
     size = [int(n) for n in box[1] - box[0] + 1]
     need = size[0] * size[1] * size[2] * components * wanted.itemsize
-    have = available_memory.available_host()
-    if need > have:
-        raise DeviceMemoryError(
-            f"bounds: {' x '.join(map(str, size))} voxels of {wanted} need {need >> 20} MiB of the {have >> 20} MiB "
-            "free; ask for a smaller box, or sample() the points that matter",
-            need=need,
-        )
+    what = f"bounds: {' x '.join(map(str, size))} voxels of {wanted} need"
+    available_memory.require_room(need, what, "ask for a smaller box, or sample() the points that matter")
     values = np.empty((*size, components), wanted)
     _read_box(volume, box[0], values, launcher.resolve_device(device))
     shape = tuple(size) if components == 1 else (*size, components)

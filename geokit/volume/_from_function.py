@@ -13,7 +13,7 @@ from geokit.core.interop import user_arrays
 from geokit.core.memory import available_memory
 from geokit.core.memory.needs import needs
 from geokit.core.require import described, read_array, require_count
-from geokit.errors import DeviceMemoryError, InputError
+from geokit.errors import InputError
 from geokit.volume.band.lattice_origin import checked_band, index_translation
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import info_of
@@ -269,13 +269,9 @@ class _Refinement:
 
     def _require_memory(self, blocks: int, size: int) -> None:
         # Memory of a block during its evaluation; leaves are kept afterwards.
-        need, have = blocks * (BYTES_PER_LEAF if size == LEAF else 128), available_memory.available_host()
-        if need > have:
-            raise DeviceMemoryError(
-                f"voxel_size: {self.voxel_size:g} needs about {need >> 20} MiB of the {have >> 20} MiB free; use a "
-                "larger one, smaller bounds, or a smaller half_width",
-                need=need,
-            )
+        remedy = "use a larger one, smaller bounds, or a smaller half_width"
+        need = blocks * (BYTES_PER_LEAF if size == LEAF else 128)
+        available_memory.require_room(need, f"voxel_size: {self.voxel_size:g} needs", remedy)
 
 
 def _checked_bounds(bounds: Any) -> NDArray[np.float64]:

@@ -13,7 +13,7 @@ from geokit.core.interop import user_arrays
 from geokit.core.interop.types import Device, Rows
 from geokit.core.memory import available_memory
 from geokit.core.memory.needs import needs
-from geokit.errors import DeviceMemoryError, InputError
+from geokit.errors import InputError
 from geokit.volume.band.lattice_origin import checked_band, index_translation
 from geokit.volume.band.place_keys import KEY_BITS, keys_of, places_of
 from geokit.volume.model.sparse_volume import SparseVolume
@@ -294,10 +294,8 @@ def _checked_radii(radius: Any, count: int) -> NDArray[np.float64]:
 
 
 def _require_memory(tiles: float, voxel_size: float) -> None:
-    need, have = tiles * BYTES_PER_TILE, available_memory.available_host()
-    if need > have:
-        raise DeviceMemoryError(
-            f"voxel_size: {voxel_size:g} needs about {need / 2**20:.3g} MiB of the {have >> 20} MiB free; use "
-            f"{voxel_size * (need / max(have, 1)) ** 0.5 * 1.05:.2g} or more, or a smaller half_width",
-            need=need,
-        )
+    available_memory.require_room(
+        tiles * BYTES_PER_TILE,
+        f"voxel_size: {voxel_size:g} needs",
+        lambda times: f"use {voxel_size * times**0.5 * 1.05:.2g} or more, or a smaller half_width",
+    )

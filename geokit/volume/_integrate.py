@@ -99,7 +99,7 @@ def integrate(
 
     from geokit.volume.rays.raycast_kernels import SHORTEST_DIRECTION
 
-    factor = wp.float64(user_arrays.require_finite_scalar(extinction, "extinction", low=-math.ulp(0.0)))
+    factor = wp.float64(user_arrays.require_finite_scalar(extinction, "extinction", low=user_arrays.FROM_ZERO))
     start, reach = user_arrays.ray_limits(t_min, max_distance)
     target = launcher.resolve_device(device)
     rays, heading = user_arrays.read_rows([origins, directions], ["origins", "directions"], target, defer=True)

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from geokit.core.content_limit import content_limit
 from geokit.core.files import extension, named_damage, refuse_empty, require_file, size_of
-from geokit.core.interop.user_arrays import require_finite_scalar
+from geokit.core.interop.user_arrays import FROM_ZERO, require_finite_scalar
 from geokit.core.memory.needs import file_size, needs
 from geokit.core.require import require_choice, require_flag, require_path, require_text
 from geokit.errors import FileAccessError, InputError, UnsupportedGridError
@@ -362,8 +362,7 @@ def _is_dense(path: Path, background: Any = None, tolerance: Any = 0.0, grid_typ
     """Whether a file holds a dense volume, for which alone there are a background, a tolerance and a type."""
     if grid_type is not None:
         require_text(grid_type, "grid_type")
-    if require_finite_scalar(tolerance, "tolerance") < 0.0:
-        raise InputError(f"tolerance: {tolerance} is negative; use 0 or more")
+    require_finite_scalar(tolerance, "tolerance", low=FROM_ZERO)
     if _kind(path) not in (*SPARSE, *STAGES):
         return True
     given = {"background": background is not None, "tolerance": tolerance != 0.0, "grid_type": grid_type is not None}

@@ -43,6 +43,26 @@ def test_lengths_have_units(geokit, tmp_path: Path) -> None:
     assert geokit(*words, "--max-width", "1mm", "--force").stdout.count("filled 0, open 1") == 1
 
 
+def test_what_crosses_is_cut_out_where_that_is_asked_for(geokit, fails, tmp_path: Path) -> None:
+    ball = gk.mesh.sphere()
+    vertices = ball.vertices.copy()
+    vertices[600] *= -1.5
+    source, target = tmp_path / "spike.ply", tmp_path / "whole.ply"
+    gk.mesh.save(source, gk.mesh.TriangleMesh(vertices, ball.faces))
+    assert json.loads(geokit("repair", source, target, "--json").stdout)["crossing_pairs"] > 0
+    done = geokit("repair", source, target, "--untangle", "8", "--json", "--force")
+    assert done.returncode == 0, done.stderr
+    said, made = json.loads(done.stdout), gk.mesh.load(target)
+    assert (said["places"], said["crossing_pairs"], said["watertight"]) == (2, 0, True)
+    assert said["faces"] == made.face_count < ball.face_count
+    assert 0 < said["deviation"] < 1
+    box = gk.mesh.box()
+    gk.mesh.save(source, gk.mesh.TriangleMesh([*box.vertices, *(box.vertices + 0.4)], [*box.faces, *(box.faces + 8)]))
+    fails(geokit("repair", source, tmp_path / "no.ply", "--untangle", "8"), 1, "spike.ply", "union")
+    fails(geokit("repair", source, tmp_path / "no.ply", "--untangle", "0"), 1, "--untangle: 0")
+    assert not (tmp_path / "no.ply").exists()
+
+
 def test_errors_name_files_and_options(geokit, fails, tmp_path: Path) -> None:
     broken, target = gk.sample_path("broken.obj"), tmp_path / "out.ply"
     fails(geokit("repair", broken, target, "--max-width", "1mm"), 1, "--max-width: 1mm has a unit", "--from-unit")

@@ -12,7 +12,7 @@ import warp as wp
 import geokit as gk
 from geokit.core import launcher
 from geokit.core.blocks.several_devices import devices_of
-from geokit.core.launches import launch_cache
+from geokit.core.launches import prepared
 
 COUNT = 5000
 
@@ -29,13 +29,12 @@ def ask_kernel(
     first: int,
     order: wp.array(dtype=int),
     points: wp.array(dtype=wp.vec3d),
-    weight: wp.array(dtype=wp.float64),
     shared: wp.float64,
     out_value: wp.array(dtype=wp.float64),
     out_rank: wp.array(dtype=int),
 ):
     i = order[first + wp.tid()]
-    out_value[i] = (points[i][0] + wp.float64(10.0) * points[i][1]) * weight[i] + shared
+    out_value[i] = points[i][0] + wp.float64(10.0) * points[i][1] + shared
     out_rank[i] = first + wp.tid()
 
 
@@ -45,7 +44,6 @@ def ask_group_kernel(
     group: int,
     order: wp.array(dtype=int),
     points: wp.array(dtype=wp.vec3d),
-    weight: wp.array(dtype=wp.float64),
     shared: wp.float64,
     out_value: wp.array(dtype=wp.float64),
     out_rank: wp.array(dtype=int),
@@ -53,7 +51,7 @@ def ask_group_kernel(
     begin = (first + wp.tid()) * group
     for k in range(begin, wp.min(begin + group, points.shape[0])):
         i = order[k]
-        out_value[i] = (points[i][0] + wp.float64(10.0) * points[i][1]) * weight[i] + shared
+        out_value[i] = points[i][0] + wp.float64(10.0) * points[i][1] + shared
         out_rank[i] = k
 
 
@@ -64,7 +62,6 @@ def cpu():
 
 def ask(points, cpu, *, lower=(0.0, 0.0, 0.0), extent=1.0, group=0):
     count = len(points)
-    weight = np.linspace(1.0, 2.0, count)
     value = wp.full(count, -1.0, dtype=wp.float64, device=cpu)
     rank = wp.full(count, -1, dtype=int, device=cpu)
     launcher.launch_queries(
@@ -76,9 +73,8 @@ def ask(points, cpu, *, lower=(0.0, 0.0, 0.0), extent=1.0, group=0):
         lower=lower,
         extent=extent,
         group=group,
-        streams=[wp.array(weight, dtype=wp.float64, device=cpu)],
     )
-    np.testing.assert_array_equal(value.numpy(), (points[:, 0] + 10.0 * points[:, 1]) * weight + 0.25)
+    np.testing.assert_array_equal(value.numpy(), points[:, 0] + 10.0 * points[:, 1] + 0.25)
     return rank.numpy()
 
 
@@ -144,13 +140,13 @@ def test_every_item_is_visited_once(threads, count, cpu, monkeypatch):
 def slices(monkeypatch):
     """The (first, count, thread) of each slice that is launched."""
     seen = []
-    run = launch_cache.run
+    run = prepared.bound
 
     def spy(kernel, count, arguments, *rest):
         seen.append((arguments[0], count, threading.current_thread().name))
-        run(kernel, count, arguments, *rest)
+        return run(kernel, count, arguments, *rest)
 
-    monkeypatch.setattr(launch_cache, "run", spy)
+    monkeypatch.setattr(prepared, "bound", spy)
     return seen
 
 

@@ -24,7 +24,8 @@ DOORS: tuple[ModuleType, ...] = (*MORE, gk.mesh, gk.volume, gk.points, gk.render
 # What functions return. Users do not make them, so their constructors check nothing.
 RESULTS = {
     "mesh": "BoxOverlaps ClosestPoints DirectedDistance FilledHoles FurthestPoints HausdorffDistance MeshAudit"
-    " OrientedMesh RayHitLists RayHits Repaired SignedDistances Simplified SurfaceDistance SurfaceSamples Wrapped",
+    " OrientedMesh RayHitLists RayHits Repaired SignedDistances Simplified SurfaceDistance SurfaceSamples"
+    " Untangled Wrapped",
     "volume": "ActiveVoxels ConnectedComponents Curvatures DenseGrid GridInfo MeshBand PlannedField Statistics"
     " Transmittance VolumeHits",
     "points": "Candidates ChamferDistance Cover DirectedDistance Downsampled HausdorffDistance KNearest NeighborBlock"
@@ -213,6 +214,7 @@ def _mesh_calls(s: Scene) -> Iterator[Call]:
     yield Call("mesh.drop_degenerate", m.drop_degenerate, {"mesh": s.mesh})
     yield Call("mesh.fill_holes", m.fill_holes, {"mesh": s.mesh, "max_width": 1.0})
     yield Call("mesh.repair", m.repair, {"mesh": s.mesh, "tolerance": 0.01, "max_width": 1.0})
+    yield Call("mesh.remove_self_intersections", m.remove_self_intersections, {"mesh": s.mesh, "rings": 4})
     yield Call("mesh.hausdorff", m.hausdorff, {"a": s.mesh, "b": s.other, "samples": 50, **cpu})
     yield Call("mesh.simplify", m.simplify, {"mesh": s.mesh, "tolerance": 0.1, **cpu})
     yield Call("mesh.simplify(face_count)", m.simplify, {"mesh": s.mesh, "face_count": 8, **cpu})

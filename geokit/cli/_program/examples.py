@@ -60,6 +60,7 @@ geokit mesh transform ball.ply moved.ply --scale 0.001 --rotate 1 0 0 90 --move 
 geokit mesh transfer ball.ply bunny.usd painted.vtp --name color
 geokit repair scan.ply repaired.ply
 geokit repair scan.ply closed.3mf --tolerance 0.01mm --max-width 5mm --from-unit mm
+geokit repair scan.ply untangled.ply --untangle 8
 geokit wrap scan.ply solid.3mf --tolerance 5mm --gap 20mm --from-unit m
 geokit wrap cloud.ply skin.ply --tolerance 0.02 --cavities
 geokit boolean union a.stl b.stl c.stl union.stl

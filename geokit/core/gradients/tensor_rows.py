@@ -9,7 +9,7 @@ import torch
 
 from geokit.core import launcher
 from geokit.core.interop.arrays import is_in_order
-from geokit.core.launches.launch_cache import KernelArray
+from geokit.core.launches.warp_private import KernelArray
 from geokit.core.memory.host_array import array_descriptor
 
 if TYPE_CHECKING:

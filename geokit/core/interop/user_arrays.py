@@ -8,6 +8,7 @@ numbers, returns float64.
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -30,7 +31,7 @@ from geokit.core.interop.arrays import (
     widened,
 )
 from geokit.core.interop.objects import points_of
-from geokit.core.launches import replay
+from geokit.core.launches import prepared
 from geokit.core.memory.device_arena import Scratch, ScratchArray
 from geokit.core.memory.host_array import HostArray, row_of
 from geokit.core.memory.pinned import FEWEST_ROWS, Pinned, PinnedArray, uses_pinned_memory
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     import warp as wp
 
 __all__ = [
+    "FROM_ZERO",
     "LARGEST_MEASURED",
     "Batch",
     "empty",
@@ -240,8 +242,8 @@ def empty(count: int, dtype: Any, like: Any) -> Any:
     if isinstance(like, PinnedArray):
         return like.pinned.take(shape, row.dtype)
     results = HostArray(np.empty(shape, row.dtype))
-    if recorder := replay.current():
-        recorder.empty(results)
+    if recording := prepared.current():
+        recording.empty(results)
     return results
 
 
@@ -265,8 +267,8 @@ def full(count: int, value: float, dtype: Any, like: Any) -> Any:
         return wp.full(count, value, dtype=dtype, device=like.device)
     results = empty(count, dtype, like)
     results.values.fill(value)
-    if recorder := replay.current():
-        recorder.filled(results)
+    if recording := prepared.current():
+        recording.filled(results)
     return results
 
 
@@ -274,9 +276,13 @@ def mapped(results: HostArray, convert: Callable[[np.ndarray], np.ndarray]) -> H
     """``convert`` of kernel results on the host, row by row."""
     memory = _memory_of(results)
     made = HostArray(convert(memory))
-    if recorder := replay.current():
-        recorder.derived(made.values, memory, convert)
+    if recording := prepared.current():
+        recording.derived(made.values, memory, convert)
     return made
+
+
+# The bound below 0 that lets 0 pass.
+FROM_ZERO = -math.ulp(0.0)
 
 
 def require_finite_scalar(value: Any, name: str, *, low: float = -np.inf, infinite: bool = False) -> float:
@@ -286,7 +292,7 @@ def require_finite_scalar(value: Any, name: str, *, low: float = -np.inf, infini
         InputError: ``value`` is not such a number.
     """
     number = require_number(value, name)
-    # Threads of jax take denormal numbers for 0, such as the bound below 0 that lets 0 pass.
+    # Threads of jax take denormal numbers, such as FROM_ZERO, for 0.
     from_zero = low > -1e-300 and math.copysign(1.0, low) < 0.0
     is_above = number > low or (number == 0.0 and from_zero)
     if math.isnan(number) or not is_above or (math.isinf(number) and not infinite):
@@ -370,8 +376,8 @@ def _read_numpy(
         raise InputError(f"{name}: shape {table.shape} is not (N, 3); {_remedy(table.shape)}")
     if not defer and not _all_within(table, largest):
         _refuse_nonfinite(table, name, first_row, largest)
-    if recorder := replay.current():
-        table = recorder.rows_of(values, table, largest=None if defer else largest)
+    if recording := prepared.current():
+        table = recording.rows_of(values, table, largest=None if defer else largest)
     if pin and len(table) < FEWEST_ROWS and uses_pinned_memory(device):
         rows: Any = Pinned(device).take(table.shape, table.dtype)
         rows.values[:] = table
@@ -395,9 +401,10 @@ def _shaped(give: Callable[[Any], Any], lead: tuple[int, ...] | None) -> Callabl
 
         found = give(out)
         if not isinstance(found, wp.array):
-            if recorder := replay.current():
-                return recorder.shaped(found, lead)
-            return led(found, lead)
+            shaped = led(found, lead)
+            if recording := prepared.current():
+                recording.derived(shaped, found, functools.partial(led, lead=lead))
+            return shaped
         # warp has no arrays of no dimension.
         whole = (*lead, *found.shape[1:])
         return reinterpreted(found, found.dtype, whole) if whole else found.numpy()[0]
@@ -436,10 +443,15 @@ def _bad_row(name: str, row: int, values: list[float], largest: float) -> InputE
 def _to_numpy(out: "wp.array", is_float32: bool) -> np.ndarray:
     memory = _memory_of(out) if isinstance(out, HostArray) else download(_as_warp(out))[0]
     is_cast = is_float32 and memory.dtype == np.float64
-    result = memory.astype(np.float32) if is_cast else memory
-    if recorder := replay.current():
-        recorder.result(result, memory, is_float32=is_cast)
+    convert = _as_float32 if is_cast else np.ndarray.copy
+    result = convert(memory) if is_cast else memory
+    if recording := prepared.current():
+        recording.derived(result, memory, convert)
     return result
+
+
+def _as_float32(values: np.ndarray) -> np.ndarray:
+    return values.astype(np.float32)
 
 
 def _memory_of(results: HostArray) -> np.ndarray:

@@ -1,1 +1,1 @@
-"""How kernels are launched at little cost: prepared launches, replays of small queries, and warp's private parts."""
+"""How kernels are launched at little cost: what calls have prepared, and warp's private parts."""

@@ -23,10 +23,9 @@ if TYPE_CHECKING:
     import warp as wp
 
 __all__ = [
-    "arrays_of", "descriptor_of", "descriptor_type", "direct_call", "has_code", "has_failed_to_build", "is_packed",
-    "is_struct", "last_noted_error", "load_module", "mark_modified", "missing", "module_files", "module_folder",
-    "module_name", "native_library", "output_name", "packed_parameters", "parameters", "record_launch",
-    "tape_in_progress",
+    "KernelArray", "PackedLaunch", "arrays_of", "descriptor_type", "has_code", "has_failed_to_build", "is_packed",
+    "last_noted_error", "launch_argument", "load_module", "mark_modified", "missing", "module_files", "module_folder",
+    "module_name", "native_library", "output_name", "parameters", "record_launch", "tape_in_progress",
 ]  # fmt: skip
 
 # Fields of the descriptor by which a kernel sees an array. HostArray fills in the address, shape, strides and ndim.
@@ -34,6 +33,8 @@ DESCRIPTOR = ("data", "grad", "shape", "strides", "ndim", "flags")
 # Versions of warp whose CPU kernels are known to be functions of (launch bounds, arguments in one struct). A test
 # compares the source of warp's own call; another convention would crash.
 FIRST_DIRECT, LAST_DIRECT = (1, 18), (1, 19)
+# Marks a kernel parameter that is a warp struct.
+STRUCT = object()
 
 
 def missing() -> dict[str, str]:
@@ -98,14 +99,27 @@ def _check_tape() -> None:
 # Arrays
 
 
-def descriptor_of(value: Any) -> Any:
-    """The ctypes struct by which a kernel sees an array or a warp struct; it shares its memory with the original."""
-    return value.__ctype__()
+class KernelArray:
+    """Base of the array types that :func:`geokit.core.launcher.launch` takes besides warp arrays."""
+
+    __slots__ = ()
+
+    if TYPE_CHECKING:  # not an ABC, whose isinstance check takes four times as long
+
+        @property
+        def descriptor(self) -> Any:
+            """Warp's array descriptor: address, shape and strides."""
+
+        @property
+        def warp(self) -> "wp.array":
+            """A warp array over the same memory."""
 
 
-def is_struct(value: Any) -> bool:
-    """Whether a value is a warp struct, where it is no array."""
-    return hasattr(value, "__ctype__")
+def launch_argument(argument: Any) -> Any:
+    """Replace a KernelArray by its descriptor; return any other kernel argument unchanged."""
+    if not isinstance(argument, KernelArray):
+        return argument
+    return argument.descriptor if descriptor_type() else argument.warp
 
 
 @functools.lru_cache(maxsize=1)
@@ -122,7 +136,7 @@ def arrays_of(argument: Any) -> Iterator[np.ndarray]:
 
     if isinstance(argument, wp.array) or hasattr(argument, "descriptor"):
         yield argument.numpy() if isinstance(argument, wp.array) else argument.values
-    elif is_struct(argument):
+    elif hasattr(argument, "__ctype__"):  # a struct
         for value in vars(argument).values():
             yield from arrays_of(value)
 
@@ -140,9 +154,9 @@ def has_code(kernel: Any) -> bool:
     return not getattr(kernel, "is_generic", False) or bool(kernel.overloads)
 
 
-def is_packed(kernel: Any) -> bool:
-    """Whether the arguments of a recorded launch may be written to by :func:`packed_parameters`."""
-    return not {"launch", "descriptor"} & _missing() and not getattr(kernel, "is_generic", True)
+def is_packed(device: "wp.Device") -> bool:
+    """Whether launches on a device may be made by :class:`PackedLaunch`."""
+    return not ({"launch", "descriptor", "direct"} if device.is_cpu else {"launch", "descriptor"}) & _missing()
 
 
 def record_launch(kernel: Any, count: int, arguments: Sequence[Any], device: "wp.Device", block_dim: int = 1) -> Any:
@@ -154,36 +168,88 @@ def record_launch(kernel: Any, count: int, arguments: Sequence[Any], device: "wp
     )
 
 
-def packed_parameters(command: Any) -> tuple[list[Any], Any]:
-    """The bounds and arguments of a recorded launch in the form that kernels take, and where a GPU finds their
-    addresses (None on a CPU), both to be written to. The launch then keeps no array alive.
+class PackedLaunch:
+    """A recorded launch, of which others are made: each writes its arguments to a struct of its own.
 
-    Only for kernels that :func:`is_packed` names.
+    On a CPU a launch is a call of a C function with that struct. What warp does before (it looks for a capture, and
+    makes the struct field by field) takes 10 us. On a GPU, a launch takes the address of each argument.
     """
-    command.fwd_args = None
-    return command.params, command.params_addr
+
+    __slots__ = ("_array", "_bounds", "_command", "_kinds", "_offsets", "_struct")
+
+    def __init__(self, command: Any) -> None:
+        import warp as wp
+
+        command.fwd_args = None  # or it would keep arrays alive
+        self._command, self._array = command, wp.array
+        self._bounds: tuple[int, Any] = 0, None
+        fields = [
+            (given.label, type(value)) for given, value in zip(command.kernel.adj.args, command.params[1:], strict=True)
+        ]
+        self._struct: Any = type("Arguments", (ctypes.Structure,), {"_fields_": fields})
+        self._offsets = [getattr(self._struct, name).offset for name, _ in fields]
+        self._kinds = [_kind_of(given.type) for given in command.kernel.adj.args]
+
+    def bound(self, count: int, arguments: Sequence[Any]) -> Callable[[], Any]:
+        """The launch for ``count`` items with other arguments, warp arrays or KernelArrays, which it does not keep."""
+        values, array = [], self._array
+        for index, (kind, value) in enumerate(zip(self._kinds, arguments, strict=True), 1):
+            if isinstance(value, KernelArray):
+                value = value.descriptor
+            elif type(kind) is tuple and type(value) is array and value.dtype is kind[0] and value.ndim == kind[1]:
+                value = value.__ctype__()
+            elif type(kind) is frozenset and type(value) in kind:
+                value = value if type(value) in (int, float, bool) else value.value
+            elif kind is STRUCT and hasattr(value, "__ctype__"):
+                value = value.__ctype__()
+            elif type(value) is not kind:  # not of the expected type: warp converts it, or names the mistake
+                command = self._with(params=list(self._command.params), params_addr=None)
+                command.set_param_at_index(index - 1, value)
+                value = command.params[index]
+            values.append(value)
+        known, bounds = self._bounds
+        if count != known:
+            command = self._with(params=[None], params_addr=None)
+            command.set_dim(count)
+            bounds = command.bounds
+            self._bounds = count, bounds
+        command, packed = self._command, self._struct(*values)
+        if not command.device.is_cpu:
+            start = ctypes.addressof(packed)
+            places = ctypes.addressof(bounds), *[start + offset for offset in self._offsets]
+            addresses = (ctypes.c_void_p * len(places))(*places)
+            return self._with(bounds=bounds, params=[bounds, packed], params_addr=addresses).launch
+        if command.device.is_capturing:
+            return command.launch  # which refuses it: a capture needs the arrays
+        # Both references keep what they refer to alive.
+        return functools.partial(command.hooks.forward, ctypes.byref(bounds), ctypes.byref(packed))
+
+    def _with(self, **changed: Any) -> Any:
+        command = object.__new__(type(self._command))
+        command.__dict__.update(vars(self._command), **changed)
+        return command
 
 
-def direct_call(command: Any) -> Callable[[], Any]:
-    """A function that makes a recorded launch on a CPU.
+def _kind_of(kind: Any) -> Any:
+    """How arguments of a type are passed.
 
-    A launch is a call of a C function. What warp does before (it looks for a capture, and makes the struct of the
-    arguments) takes 10 us and always comes to the same.
+    Returns:
+        (dtype, number of dimensions) for an array, the types that need no conversion for a number, the type itself for
+        a vector, STRUCT for a struct, and None where warp has to convert.
     """
-    if "direct" in _missing():
-        launch: Callable[[], Any] = command.launch
-        return launch
-    bounds, *values = command.params
-    # Launches of generic kernels have the overload here.
-    names = (argument.label for argument in command.kernel.adj.args)
-    arguments = _struct(tuple((name, type(value)) for name, value in zip(names, values, strict=True)))(*values)
-    # Both references keep what they refer to alive.
-    return functools.partial(command.hooks.forward, ctypes.byref(bounds), ctypes.byref(arguments))
+    import warp as wp
 
-
-@functools.lru_cache(maxsize=1024)
-def _struct(fields: tuple[tuple[str, Any], ...]) -> Any:
-    return type("Arguments", (ctypes.Structure,), {"_fields_": fields})
+    if hasattr(kind, "ndim"):
+        return kind.dtype, kind.ndim
+    if kind in (wp.int32, wp.int64, wp.uint32, wp.uint64, wp.uint8):
+        return frozenset((int, kind))
+    if kind in (wp.float32, wp.float64):
+        return frozenset((float, int, kind))
+    if kind is wp.bool:
+        return frozenset((bool, kind))
+    if not isinstance(kind, type):
+        return STRUCT
+    return kind if issubclass(kind, ctypes.Array) else None
 
 
 # Modules

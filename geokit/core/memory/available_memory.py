@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import ctypes
 import os
+from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from geokit.core.launches.cuda_driver import cuda_driver
+from geokit.errors import DeviceMemoryError
 
 try:
     import resource
@@ -21,7 +23,7 @@ except ImportError:  # not on Windows
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["available", "available_host"]
+__all__ = ["available", "available_host", "require_room"]
 
 # Used where the system reports nothing: small enough for any machine, large enough for ordinary work.
 ASSUMED_BYTES = 4 << 30
@@ -44,6 +46,28 @@ def available_host() -> int:
 def available(device: "wp.Device") -> int:
     """Bytes that can still be allocated on ``device``, on a GPU also those that warp's allocator holds idle."""
     return available_host() if device.is_cpu else int(device.free_memory) + _idle_in_pool(device)
+
+
+def require_room(
+    need: float, what: str, remedy: str | Callable[[float], str], device: "wp.Device | None" = None
+) -> None:
+    """Check that ``need`` bytes are free on a device, or on the host.
+
+    Args:
+        need: Estimate [bytes].
+        what: What needs them, with its verb.
+        remedy: What to do instead; or a function that says so, of how many times the free memory is needed.
+        device: None for the host.
+    Raises:
+        DeviceMemoryError: They are not free; the message says how many are.
+    """
+    have = available_host() if device is None else available(device)
+    if need > have:
+        where = "" if device is None else f" on {device.alias}"
+        remedy = remedy if isinstance(remedy, str) else remedy(need / max(have, 1))
+        raise DeviceMemoryError(
+            f"{what} about {need / 2**20:.6g} MiB, of {have >> 20} MiB free{where}; {remedy}", need=need
+        )
 
 
 def _idle_in_pool(device: "wp.Device") -> int:

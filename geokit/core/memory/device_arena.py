@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
-from geokit.core.launches.launch_cache import KernelArray
+from geokit.core.launches.warp_private import KernelArray
 from geokit.core.memory.host_array import array_descriptor
 
 if TYPE_CHECKING:

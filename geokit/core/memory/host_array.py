@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geokit.core.launches import replay, warp_private
-from geokit.core.launches.launch_cache import KernelArray
+from geokit.core.launches import prepared, warp_private
+from geokit.core.launches.warp_private import KernelArray
 
 if TYPE_CHECKING:
     import warp as wp
@@ -37,8 +37,8 @@ class HostArray(KernelArray):
         return HostArray(self.values[rows])
 
     def numpy(self) -> np.ndarray:
-        if recorder := replay.current():
-            recorder.read(self.values)
+        if recording := prepared.current():
+            recording.read(self.values)
         return self.values
 
     @property

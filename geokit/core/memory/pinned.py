@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geokit.core.launches import replay, warp_private
+from geokit.core.launches import prepared, warp_private
 from geokit.core.memory.host_array import HostArray
 
 if TYPE_CHECKING:
@@ -124,8 +124,8 @@ def host_flags(count: int, device: "wp.Device") -> HostArray:
     """``count`` int32 flags, initially zero, that kernels raise: a row is not finite, a query is undecided."""
     (raised,) = host_arrays(device, ((count,), np.int32))
     raised.values.fill(0)
-    if recorder := replay.current():
-        recorder.flags(raised)
+    if recording := prepared.current():
+        recording.flags(raised)
     return raised
 
 

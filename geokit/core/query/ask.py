@@ -11,7 +11,7 @@ from geokit.core.base.snapshot import snapshot
 from geokit.core.blocks import several_devices
 from geokit.core.gradients.differentiable import with_gradients
 from geokit.core.gradients.rules import require_constant
-from geokit.core.launches import replay
+from geokit.core.launches import prepared
 from geokit.core.memory.needs import estimated, guarded
 from geokit.core.memory.needs import rows as count
 from geokit.core.poses.move import BYTES_PER_MOVE, answer_placed, refuse_tracked
@@ -39,7 +39,7 @@ def query(*rows: str, **facts: Any) -> Callable[[Callable[_Arguments, _Answer]],
             return found
 
         record.call = run
-        record.answer = lambda *given, **options: replay.answer(record, _search, given, options)
+        record.answer = lambda *given, **options: prepared.answer(record, _search, given, options)
         run.query, run._geokit_bytes = record, functools.partial(_need, record)  # type: ignore[attr-defined]
         return run
 
@@ -74,7 +74,7 @@ def ask(query: Query, given: tuple[Any, ...], options: dict[str, Any]) -> Any:
         for holder in given[:1] or options.values():
             require_constant(holder, query.name)
     # 4. A small call on a CPU that was made before: its launches again, for these rows.
-    return replay.answer(query, _search, given, options)
+    return prepared.answer(query, _search, given, options)
 
 
 def _search(query: Query, given: tuple[Any, ...], options: dict[str, Any]) -> Any:

@@ -179,14 +179,13 @@ def in_unit(matrix: NDArray[np.float64], unit: str, wanted: str) -> NDArray[np.f
     return lengths
 
 
-def require_straight(path: Path, matrix: NDArray[np.float64], *, turned: bool, remedy: str) -> NDArray[np.float64]:
+def require_straight(path: Path, matrix: NDArray[np.float64], *, turned: bool) -> NDArray[np.float64]:
     """Edge lengths of the voxels of a transform, for formats that hold no sheared ones.
 
     Args:
         path: The target, for the message.
         matrix: Index to world.
         turned: Whether the format holds axes that are turned.
-        remedy: Formats that hold any.
     Raises:
         InputError: The voxels are sheared, or turned where the format does not hold that.
     """
@@ -195,7 +194,7 @@ def require_straight(path: Path, matrix: NDArray[np.float64], *, turned: bool, r
     wanted = axes.T @ axes if turned else axes
     if np.abs(wanted - np.eye(3)).max() > LARGEST_COSINE:
         what = "sheared" if turned else "not aligned with the world's axes"
-        raise InputError(f"{path}: the volume's voxels are {what}, which the format cannot hold; {remedy}")
+        raise InputError(f"{path}: the volume's voxels are {what}, which the format cannot hold; use .nrrd or .nii")
     return spacing
 
 
@@ -207,20 +206,19 @@ def scaled(values: NDArray[Any], slope: float, shift: float) -> NDArray[Any]:
         return values.astype(np.float64) * slope + shift
 
 
-def stored_type(path: Path, dtype: np.dtype[Any], kinds: Mapping[str, str], remedy: str) -> np.dtype[Any]:
+def stored_type(path: Path, dtype: np.dtype[Any], kinds: Mapping[str, str]) -> np.dtype[Any]:
     """The type in which a format holds numbers of another one.
 
     Args:
         path: The target, for the message.
         dtype: Of the volume.
         kinds: Type that is stored, by type of the volume ("f4", "u1", ...).
-        remedy: Formats that hold the others.
     Raises:
         InputError: It holds none.
     """
     found = kinds.get(dtype.str[1:])
     if found is None:
-        raise InputError(f"{path}: the format holds no {dtype}; {remedy}")
+        raise InputError(f"{path}: the format holds no {dtype}; use .nrrd")
     return np.dtype(found)
 
 

@@ -173,9 +173,9 @@ def write_image(path: Path, image: Image, codec: str | None, *, stem: Path | Non
         FileAccessError: A .raw file is there that is not the one of the .mhd that is replaced.
     """
     zipped = fitting_codec(path, codec, ("none", "zip")) == "zip"
-    dtype = stored_type(path, image.dtype, STORED, "use .nrrd")
+    dtype = stored_type(path, image.dtype, STORED)
     matrix = in_space(image.transform, image.space, "LPS")
-    spacing = require_straight(path, matrix, turned=True, remedy="use .nrrd or .nii")
+    spacing = require_straight(path, matrix, turned=True)
     axes = (matrix[:3, :3] / spacing).T
     stem = path.with_suffix("") if stem is None else stem
     beside = stem.with_name(f"{stem.name}.{'zraw' if zipped else 'raw'}") if path.suffix.lower() == ".mhd" else None

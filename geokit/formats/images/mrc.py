@@ -134,9 +134,9 @@ def write_image(path: Path, image: Image, codec: str | None) -> None:
     fitting_codec(path, codec, ("none",))
     if image.components > 1:
         raise InputError(f"{path}: the format holds one number in a voxel; use .nrrd for vectors")
-    dtype = stored_type(path, image.dtype, STORED, "use .nrrd")
+    dtype = stored_type(path, image.dtype, STORED)
     matrix = in_unit(image.transform, image.unit, "angstrom")
-    spacing = require_straight(path, matrix, turned=False, remedy="use .nrrd or .nii")
+    spacing = require_straight(path, matrix, turned=False)
     header = np.zeros((), mrcfile.dtypes.HEADER_DTYPE)
     for at, axis in enumerate("xyz"):
         header[f"n{axis}"] = header[f"m{axis}"] = image.shape[at]

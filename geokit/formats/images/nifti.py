@@ -155,7 +155,7 @@ def write_image(path: Path, image: Image, codec: str | None) -> None:
     nibabel = require_package("nibabel")
     packed = extension(path) == ".nii.gz"
     fitting_codec(path, codec, ("zip",) if packed else ("none",))
-    dtype = stored_type(path, image.dtype, TYPES, "use .nrrd")
+    dtype = stored_type(path, image.dtype, TYPES)
     header = (nibabel.Nifti2Header if max(image.shape) > LARGEST_SIDE else nibabel.Nifti1Header)()
     header.set_data_dtype(dtype)
     unit = image.unit if image.unit in UNITS.values() else "mm" if image.unit else ""

@@ -274,8 +274,8 @@ def write_image(path: Path, image: Image, codec: str | None) -> None:
     """Write one OME page for each z, with the voxel size; only geokit reads the place of the first voxel again."""
     tifffile = require_package("tifffile")
     zipped = fitting_codec(path, codec, ("zip", "none")) == "zip"
-    dtype = stored_type(path, image.dtype, TYPES, "use .nrrd")
-    spacing = require_straight(path, image.transform, turned=False, remedy="use .nrrd or .nii")
+    dtype = stored_type(path, image.dtype, TYPES)
+    spacing = require_straight(path, image.transform, turned=False)
     x, y, z = image.shape
     colors = (image.components,) if image.components > 1 else ()
     note = noted({**image.note, "place": image.transform[:3, 3].tolist(), "space": image.space, "unit": image.unit})

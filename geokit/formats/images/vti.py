@@ -132,8 +132,8 @@ def _voxels(path: Path, name: str, array: NDArray[Any], shape: tuple[int, int, i
 def write_image(path: Path, image: Image, codec: str | None) -> None:
     """Write voxels as the data of points; the extent keeps their indices."""
     fitting_codec(path, codec, ("none",))
-    dtype = stored_type(path, image.dtype, STORED, "use .nrrd")
-    spacing = require_straight(path, image.transform, turned=True, remedy="use .nrrd or .nii")
+    dtype = stored_type(path, image.dtype, STORED)
+    spacing = require_straight(path, image.transform, turned=True)
     first = np.array(image.note.get("origin", (0, 0, 0)), np.int64)
     origin = image.transform[:3, 3] - image.transform[:3, :3] @ first
     extent = " ".join(f"{low} {low + size - 1}" for low, size in zip(first.tolist(), image.shape, strict=True))

@@ -225,7 +225,7 @@ def _wait_for_writers() -> None:
 
 def _write(zarr: Any, path: Path, image: Image, codec: str | None) -> None:
     fitting_codec(path, codec, ("zip",))
-    spacing = require_straight(path, image.transform, turned=False, remedy="use .nrrd or .nii")
+    spacing = require_straight(path, image.transform, turned=False)
     vectors = image.components > 1
     unit = {kind: name for name, kind in UNITS.items()}.get(image.unit)
     axes = [{"name": axis, "type": "space", **({"unit": unit} if unit else {})} for axis in "zyx"]

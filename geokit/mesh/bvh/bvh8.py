@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from geokit.core import launcher
 from geokit.core.memory import host_pool
-from geokit.core.memory.host_array import HostArray
+from geokit.core.memory.host_array import HostArray, row_of
 
 if TYPE_CHECKING:
     import warp as wp
@@ -28,6 +28,8 @@ TOP_CAPACITY = 4096
 NODE_SHARE = 3
 # Triangles side by side in a leaf on a CPU.
 WIDTH = 8
+# Bytes of a cache line; nodes and leaves are three lines long.
+LINE = 64
 
 
 class WideTrees(NamedTuple):
@@ -70,7 +72,6 @@ def build_wide_trees(
     import warp as wp
 
     from geokit.mesh.bvh import bvh8_build_cpu_kernels as kernels
-    from geokit.mesh.bvh.tree_memory import tree_array
 
     device = wp.get_device("cpu")
     count, trees = len(faces) // 3, len(scales)
@@ -144,7 +145,6 @@ def place_triangles(
 
     from geokit.mesh.bvh.bvh8_leaves_cpu_kernels import place_blocks_kernel
     from geokit.mesh.bvh.leaf_planes_kernels import PLANE_ROWS
-    from geokit.mesh.bvh.tree_memory import tree_array
 
     device, count = slot_triangle.device, len(slot_triangle)
     placed = tree_array(3 * count, wp.vec3d, device), tree_array(PLANE_ROWS * count, wp.float32, device)
@@ -164,7 +164,6 @@ def ray_leaves(
     import warp as wp
 
     from geokit.mesh.bvh.bvh8_leaves_cpu_kernels import LEAF_WORDS, ray_leaves_kernel
-    from geokit.mesh.bvh.tree_memory import tree_array
 
     device, blocks = slot_triangle.device, len(slot_triangle) // WIDTH
     leaves = tree_array(LEAF_WORDS * blocks, wp.float32, device)
@@ -200,3 +199,21 @@ def _spans(starts: NDArray[np.int64], counts: NDArray[np.int64]) -> NDArray[np.i
 
 def _int32(values: NDArray[Any]) -> HostArray:
     return HostArray(np.ascontiguousarray(values, np.int32))
+
+
+def tree_array(size: int, dtype: Any, device: "wp.Device") -> "wp.array":
+    """``warp.empty`` for trees; on a CPU the array is aligned to a cache line.
+
+    Queries read a tree at random places: with pages of 4 KiB the address translation takes as long as the data. NumPy
+    asks Linux for huge pages from 4 MiB on, where the system provides them on request; warp and malloc do not. The host
+    pool (core/memory/host_pool.py) is not used, because trees live long.
+    """
+    import warp as wp
+
+    if device.is_cuda:
+        return wp.empty(size, dtype=dtype, device=device)
+    length = size * wp.types.type_size_in_bytes(dtype)
+    memory = np.empty(length + LINE, np.uint8)
+    start = -memory.ctypes.data % LINE
+    row = row_of(dtype)
+    return HostArray(memory[start : start + length].view(row.dtype).reshape(size, *row.shape[1:])).warp

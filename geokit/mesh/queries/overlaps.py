@@ -19,7 +19,7 @@ from geokit.core.memory.pinned import host_flags
 from geokit.core.memory.unchecked import sort_pairs
 from geokit.core.query.ask import query
 from geokit.core.require import require_one_world
-from geokit.errors import DeviceMemoryError, InputError
+from geokit.errors import InputError
 
 if TYPE_CHECKING:
     import warp as wp
@@ -97,7 +97,7 @@ class OverlapQueries:
             wp.utils.array_scan(count, offsets[1:], inclusive=True)
         total = int(offsets[-1:].numpy()[0])
         # Memory for keys and values, twice each because the sort needs scratch space, and for the list itself.
-        _require_room(total, 28, "overlaps", device)
+        available_memory.require_room(28 * total, f"{total} overlaps need", "ask for fewer at once", device)
         key = wp.empty(2 * total, dtype=wp.int64, device=device)
         triangle_id = wp.empty(total, dtype=wp.int32, device=device)
         if total:
@@ -186,7 +186,7 @@ class OverlapQueries:
         items = np.flatnonzero(counts)
         ends = np.cumsum(counts[items])
         total = int(ends[-1]) if len(ends) else 0
-        _require_room(total, 8, "pairs", device)
+        available_memory.require_room(8 * total, f"{total} pairs need", "ask for fewer at once", device)
         pairs = wp.empty(2 * total, dtype=wp.int32, device=device)
         where = [
             wp.array(items, dtype=wp.int32, device=device),
@@ -247,16 +247,6 @@ def _require_boxes(lower: user_arrays.Batch, upper: user_arrays.Batch) -> None:
     if row >= 0:
         low, high = (batch.rows[row : row + 1].numpy()[0].tolist() for batch in (lower, upper))
         raise InputError(f"upper: row {row} {high} is below lower {low}; swap them where they are")
-
-
-def _require_room(count: int, size: int, what: str, device: "wp.Device") -> None:
-    room = available_memory.available(device)
-    if count * size > room:
-        raise DeviceMemoryError(
-            f"{count} {what} need {count * size >> 20} MiB on {device.alias}, which has {room >> 20} free; "
-            "ask for fewer at once",
-            need=count * size,
-        )
 
 
 def _sort(key: "wp.array", count: int) -> None:

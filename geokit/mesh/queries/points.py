@@ -235,7 +235,7 @@ def _on_host(values: Any) -> NDArray[Any]:
 
 
 def checked_radius(max_distance: float) -> float:
-    return user_arrays.require_finite_scalar(max_distance, "max_distance", low=-math.ulp(0.0), infinite=True)
+    return user_arrays.require_finite_scalar(max_distance, "max_distance", low=user_arrays.FROM_ZERO, infinite=True)
 
 
 def refuse_raised(bad: HostArray, batch: user_arrays.Batch) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import chain
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,14 +52,15 @@ def find_rims(topology: Topology) -> Rims:
     return Rims(border[rows], np.cumsum([0, *sizes]), np.array([is_loop for _, is_loop in rims], bool))
 
 
-def edges_within(topology: Topology, rims: Rims) -> NDArray[np.int64]:
-    """Edges between two points of one rim that are no sides of it: two rows of ``half_edges``, in both orders (K, 2).
+def edges_within(topology: Topology, begin: NDArray[np.int64], position: NDArray[Any]) -> NDArray[np.int64]:
+    """Edges between two points of one rim that are no sides of it: two rows of the rims, in both orders (K, 2).
 
-    They are ascending by their first row.
+    They are ascending by their first row. ``position`` is where the rims' half-edges start (R,), as numbered by the
+    topology; each rim begins in it at ``begin`` (H + 1,).
     """
-    sizes = np.diff(rims.begin)
+    sizes = np.diff(begin)
     rim = np.repeat(np.arange(len(sizes)), sizes)
-    position = topology.start[rims.half_edges].astype(np.int64)
+    position = position.astype(np.int64)
     code = position * len(sizes) + rim
     order = np.argsort(code)
     count = np.bincount(position, minlength=topology.position_count)

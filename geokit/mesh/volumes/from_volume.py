@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from geokit._warn import warn
 from geokit.core.blocks.chunked_queries import Progress
 from geokit.core.interop.types import Device
+from geokit.core.interop.user_arrays import require_finite_scalar
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_callable, require_choice, require_number
 from geokit.errors import InputError, UnsupportedGridError
@@ -196,11 +197,9 @@ def from_volume_with_deviation(
     from geokit.core import launcher
     from geokit.mesh._simplify import Simplified, within_tolerance
 
-    tolerance = require_number(tolerance, "tolerance")
+    tolerance = require_finite_scalar(tolerance, "tolerance", low=0.0)
     if progress is not None:
         require_callable(progress, "progress")
-    if not 0.0 < tolerance < np.inf:
-        raise InputError(f"tolerance: {tolerance} is not usable; give a finite distance greater than 0")
     mesh = from_volume(volume, isovalue=isovalue, method=method, device=device)
     if mesh.face_count == 0:
         return Simplified(mesh, 0.0, 0.0)

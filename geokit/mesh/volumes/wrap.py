@@ -6,7 +6,6 @@ merged, and what is left is held against the input: that surface is the answer, 
 
 from __future__ import annotations
 
-import math
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 from geokit.core import launcher
 from geokit.core.frame import Frame
 from geokit.core.interop.types import Device, MeshLike
-from geokit.core.interop.user_arrays import require_finite_scalar
+from geokit.core.interop.user_arrays import FROM_ZERO, require_finite_scalar
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_flag
 from geokit.errors import InputError
@@ -114,7 +113,7 @@ def wrap(
     """
     given = require_mesh(mesh, "mesh")
     tolerance = require_finite_scalar(tolerance, "tolerance", low=0.0)
-    gap = require_finite_scalar(gap, "gap", low=-math.ulp(0.0))
+    gap = require_finite_scalar(gap, "gap", low=FROM_ZERO)
     require_flag(cavities, "cavities")
     if not given.face_count:
         raise InputError(

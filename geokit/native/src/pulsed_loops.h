@@ -166,19 +166,23 @@ void parallel_reduce(const Range& range, Body& body)
     pulsed.done();
 }
 
-template<typename Range, typename Value, typename Body, typename Join, typename... Rest>
-Value parallel_reduce(const Range& range, const Value& identity, const Body& body, const Join& join, Rest&&... rest)
+// In pieces that depend on the range alone, since the value may be a sum, which rounds as its order says: NanoVDB's
+// averages of nodes. TBB's own pieces depend on which thread is free.
+template<typename Range, typename Value, typename Body, typename Join>
+Value parallel_reduce(const Range& range, const Value& identity, const Body& body, const Join& join)
 {
     const Pulse* const pulse = current_pulse;
-    if (pulse == nullptr) return ::tbb::parallel_reduce(range, identity, body, join, std::forward<Rest>(rest)...);
     First first;
-    const size_t most = piece_of(range);
-    const auto pulsed = [&body, &first, pulse, most](const Range& part, Value value) {
+    const auto pulsed = [&body, &first, pulse](const Range& part, Value value) {
         const PulseScope scope(pulse);
-        in_pieces(part, most, *pulse, first, [&](const Range& piece) { value = body(piece, std::move(value)); });
+        first.run([&] {
+            pulse_if_any();
+            value = body(part, std::move(value));
+        });
         return value;
     };
-    Value result = ::tbb::parallel_reduce(range, identity, pulsed, join, std::forward<Rest>(rest)...);
+    const Range pieces(range.begin(), range.end(), piece_of(range));
+    Value result = ::tbb::parallel_deterministic_reduce(pieces, identity, pulsed, join);
     first.rethrow();
     return result;
 }

@@ -18,6 +18,7 @@ from geokit.core.gradients.rules import hold, split
 from geokit.core.interop.arrays import reinterpreted
 from geokit.core.interop.types import Array, Devices, Rows
 from geokit.core.interop.user_arrays import (
+    FROM_ZERO,
     LARGEST_MEASURED,
     Batch,
     narrowed,
@@ -26,7 +27,7 @@ from geokit.core.interop.user_arrays import (
     require_finite,
     require_finite_scalar,
 )
-from geokit.core.launches import replay
+from geokit.core.launches import prepared
 from geokit.core.memory import available_memory
 from geokit.core.memory.needs import needs, rows
 from geokit.core.memory.unchecked import allocating
@@ -827,7 +828,7 @@ class NeighborGrid:
         """Take the points (N,) and their images within ``reach`` of the cell for the points that are searched."""
         # If there is no room for them, the grid is as it was.
         images = Images(points, cell, reach)
-        replay.refuse()
+        prepared.refuse()
         self._cache.clear()
         self._own = self._other = None
         self._made_images, self._rows = images, images.points
@@ -970,7 +971,7 @@ class NeighborGrid:
                 if least <= radius <= RADIUS_RATIO * cells.radius:
                     return cells
             # Release the old cells first: both may not fit in memory at once.
-            replay.refuse()
+            prepared.refuse()
             self._cache.clear()
             self._other = None
             self._other = self._built(self._points(), radius)
@@ -1024,10 +1025,7 @@ class NeighborGrid:
 
 
 def _require_radius(radius: Any) -> float:
-    value = require_finite_scalar(radius, "radius")
-    if value < 0.0:
-        raise InputError(f"radius: {value:g} is negative; give 0 or more")
-    return value
+    return require_finite_scalar(radius, "radius", low=FROM_ZERO)
 
 
 def _require_skin(skin: Any, radius: float | None) -> float:

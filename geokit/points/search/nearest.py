@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -11,7 +12,7 @@ from geokit.core import launcher
 from geokit.core.interop.types import Array
 from geokit.core.memory import available_memory
 from geokit.core.require import described, whole_number
-from geokit.errors import DeviceMemoryError, InputError
+from geokit.errors import InputError
 from geokit.points.search.nearest_tree import (
     blocks_in_order,
     build_tree,
@@ -30,6 +31,10 @@ __all__ = ["MAX_K", "KNearest", "build_tree", "nearest", "require_k"]
 MAX_K = 1024
 # Items of the search that are worth a slice; each has 128 queries.
 GROUP_GRAIN = 8
+# Fewest teams that answer more than one query each: as many as a GPU runs at once.
+LEAST_TEAMS = 8192
+# How much farther than a query's k-th point that of the next one may be, relative to what chance gives.
+STRETCH = 1.7
 # Bytes of an entry: int32 index and float64 distance.
 BYTES_PER_NEIGHBOR = 12
 
@@ -93,7 +98,8 @@ def nearest(
 
     device = tree.positions.device
     count = tree.count if queries is None else len(queries)
-    _require_room(count, k, device)
+    what, remedy = f"knn: the {k} nearest points of {count} queries need", "use a smaller k or fewer queries at a time"
+    available_memory.require_room(count * k * BYTES_PER_NEIGHBOR, what, remedy, device)
     out = tree_kernels.NearestQueries()
     out.count, out.k, out.seeded, out.excluded = count, k, int(queries is None), int(exclude_self)
     out.distance = wp.empty((count, k), dtype=wp.float64, device=device)
@@ -116,33 +122,27 @@ def nearest(
         is_block = device.is_cpu and count <= int(tree_kernels.LEAF)
         order = launcher.identity(device) if is_block else curve_order(queries, frame_of(queries), device)[1]
         out.positions, out.index = blocks_in_order(queries, order, device)
-    if isinstance(limit_squared, wp.array):
-        out.limit_squared = limit_squared
-    else:
-        out.limit_squared = wp.array([limit_squared], dtype=wp.float64, device=device)
-    kernel, items = _search_kernel(k, count, device)
+    is_each = isinstance(limit_squared, wp.array)
+    out.limit_squared = limit_squared if is_each else wp.array([limit_squared], dtype=wp.float64, device=device)
+    kernel, items, out.run = _search_kernel(k, count, device)
+    out.stretch = 1.0 + STRETCH / math.sqrt(k)
     launcher.launch(kernel, items, [tree], [out], device, grain=GROUP_GRAIN)
     return out.distance, out.indices
 
 
-def _search_kernel(k: int, count: int, device: Any) -> tuple[Any, int]:
-    """The kernel for lists of k on the device, and its number of items for ``count`` queries."""
+def _search_kernel(k: int, count: int, device: Any) -> tuple[Any, int, int]:
+    """The kernel for lists of k on the device, its number of items for ``count`` queries, and the queries of each."""
     if device.is_cpu:
         from geokit.points.search import nearest_cpu_kernels as wide
         from geokit.points.search.nearest_tree_kernels import LEAF
 
-        return wide.nearest_kernel, -(-count // (int(LEAF) * int(wide.BLOCKS)))
-    from geokit.points.search import nearest_cuda_kernels as threads
+        queries = int(LEAF) * int(wide.BLOCKS)
+        return wide.nearest_kernel, -(-count // queries), queries
+    from geokit.points.search import nearest_cuda_kernels as cuda
 
-    table = ((8, threads.nearest_8_kernel), (16, threads.nearest_16_kernel), (32, threads.nearest_32_kernel))
-    return next((kernel for longest, kernel in table if k <= longest), threads.nearest_many_kernel), count
-
-
-def _require_room(count: int, k: int, device: Any) -> None:
-    needed, free = count * k * BYTES_PER_NEIGHBOR, available_memory.available(device)
-    if needed > free:
-        raise DeviceMemoryError(
-            f"knn: the {k} nearest points of {count} queries need {needed / 2**30:.3g} GiB of {free / 2**30:.3g} GiB "
-            f"free on {device.alias}; use a smaller k or fewer queries at a time",
-            need=needed,
-        )
+    if k <= 8:
+        return cuda.nearest_8_kernel, count, 1
+    run = next(run for run in (16, 8, 4, 2, 1) if count >= run * LEAST_TEAMS or run == 1)
+    table = (32, cuda.nearest_32_kernel, 32), (128, cuda.nearest_128_kernel, 32), (MAX_K, cuda.nearest_1024_kernel, 128)
+    kernel, threads = next((kernel, threads) for longest, kernel, threads in table if k <= longest)
+    return kernel, -(-count // run) * threads, run

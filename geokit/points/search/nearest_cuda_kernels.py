@@ -1,7 +1,7 @@
-"""The k nearest points on a GPU: one thread for each query, with its list in registers or as a heap in the result.
+"""The k nearest points on a GPU: short lists by one thread for each query, longer ones by a warp for several.
 
-Adjacent threads handle adjacent queries and open mostly the same nodes. The comparisons, and so the results, are those
-of nearest_cpu_kernels, bit for bit. The code is plain C++ and also runs on a CPU, which tests use.
+Adjacent queries open mostly the same nodes. The comparisons, and so the results, are those of nearest_cpu_kernels, bit
+for bit. The code is plain C++ and also runs on a CPU, which tests use.
 """
 
 # mypy: ignore-errors
@@ -9,41 +9,40 @@ of nearest_cpu_kernels, bit for bit. The code is plain C++ and also runs on a CP
 import warp as wp
 
 from geokit.core import cpp
-from geokit.points.search.nearest_cpu_kernels import STACK
 from geokit.points.search.nearest_tree_kernels import LEAF, NONE, WIDTH, NearestQueries, NearestTree
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 # Registers of a thread on a GPU; see docs/design/launches-and-memory.md.
-REGISTERS = 96
+REGISTERS, TEAM_REGISTERS = 96, 64
 
 
-def _nearest(length: int, function: str = "nearest_short"):
-    """C++ of a thread's search with a list of a length."""
-    constants = {"LEAF": int(LEAF), "WIDTH": int(WIDTH), "NONE": int(NONE), "STACK": STACK, "LENGTH": length}
-    return cpp.native_item("points/search/nearest_cuda.inl", function, **constants)
+def _nearest(function: str, **constants: int):
+    """C++ of a search; its tree's sizes are constants."""
+    sizes = {"LEAF": int(LEAF), "WIDTH": int(WIDTH), "NONE": int(NONE), "LENGTH": 1, "ROOM": 256, "THREADS": 32}
+    return cpp.native_item("points/search/nearest_cuda.inl", function, **(sizes | constants))
 
 
 @wp.kernel(cuda_max_registers=REGISTERS)
-@_nearest(8)
+@_nearest("nearest_alone", LENGTH=8)
 def nearest_8_kernel(first: int, tree: NearestTree, out_queries: NearestQueries):
     """Lists of up to 8 points, in registers."""
 
 
-@wp.kernel(cuda_max_registers=REGISTERS)
-@_nearest(16)
-def nearest_16_kernel(first: int, tree: NearestTree, out_queries: NearestQueries):
-    """Lists of up to 16 points, in registers."""
-
-
-@wp.kernel(cuda_max_registers=REGISTERS)
-@_nearest(32)
+# A team has room for ROOM candidates, in which ROOM - 32 neighbors find place, and for THREADS threads of a block.
+@wp.kernel(cuda_max_registers=TEAM_REGISTERS)
+@_nearest("nearest_together", ROOM=128)
 def nearest_32_kernel(first: int, tree: NearestTree, out_queries: NearestQueries):
-    """Lists of up to 32 points, in registers."""
+    """Lists of up to 32 points."""
 
 
-# The length of a heap is that of the result.
-@wp.kernel
-@_nearest(1, "nearest_many")
-def nearest_many_kernel(first: int, tree: NearestTree, out_queries: NearestQueries):
-    """Lists of any length, as a heap in the result."""
+@wp.kernel(cuda_max_registers=TEAM_REGISTERS)
+@_nearest("nearest_together", ROOM=256)
+def nearest_128_kernel(first: int, tree: NearestTree, out_queries: NearestQueries):
+    """Lists of up to 128 points."""
+
+
+@wp.kernel(cuda_max_registers=TEAM_REGISTERS)
+@_nearest("nearest_together", ROOM=2048, THREADS=128)
+def nearest_1024_kernel(first: int, tree: NearestTree, out_queries: NearestQueries):
+    """Lists of up to 1024 points."""

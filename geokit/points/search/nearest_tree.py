@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
-from geokit.core.launches import replay
+from geokit.core.launches import prepared
 from geokit.core.memory.unchecked import sort_pairs
 
 if TYPE_CHECKING:
@@ -111,7 +111,7 @@ def curve_order(points: "wp.array", frame: Any, device: Any) -> tuple["wp.array"
     from geokit.points.search import nearest_tree_kernels as kernels
 
     count = len(points)
-    replay.refuse()
+    prepared.refuse()
     # radix_sort_pairs uses the second half of both arrays as scratch space.
     keys = wp.empty(2 * count, dtype=wp.int32, device=device)
     order = wp.empty(2 * count, dtype=wp.int32, device=device)
@@ -134,7 +134,7 @@ def blocks_in_order(
     index = wp.empty(blocks * leaf, dtype=wp.int32, device=device)
     of_groups = wp.array([] if spans is None else spans, dtype=wp.vec2i, device=device)
     given = [points, order, of_groups]
-    launcher.launch(kernels.block_kernel, blocks, given, [positions, index], device, grain=BLOCK_GRAIN)
+    launcher.launch(kernels.block_kernel, len(index), given, [positions, index], device)
     return positions, index
 
 

@@ -55,7 +55,8 @@ class NearestQueries:
     ``index`` is the row of each query. ``limit_squared`` holds one squared radius for all queries or one for each row.
     If ``seeded``, block b of the queries is leaf b of the tree. If ``excluded``, a query does not find the point with
     its own index. ``leaves`` holds the first leaf and the end of those that a block searches, or nothing for all. The
-    rest of any block may have the index NONE.
+    rest of any block may have the index NONE. On a GPU a team answers ``run`` queries of a block; ``stretch`` times the
+    squared distance of the farthest point of one query is probably enough for the next.
     """
 
     positions: wp.array(dtype=wp.float64)
@@ -66,6 +67,8 @@ class NearestQueries:
     k: wp.int32
     seeded: wp.int32
     excluded: wp.int32
+    run: wp.int32
+    stretch: wp.float64
     distance: wp.array2d(dtype=wp.float64)
     indices: wp.array2d(dtype=wp.int32)
 
@@ -309,21 +312,21 @@ def block_kernel(
 
     The rest of a block is NaN: every comparison with it is false, so it is never found.
     """
-    block = first + wp.tid()
-    begin = block * LEAF
+    i = first + wp.tid()
+    block = i // LEAF
+    at = i
     end = points.shape[0]
     if span.shape[0] > 0:
-        begin = span[block][0]
+        at = span[block][0] + i % LEAF
         end = span[block][1]
-    for j in range(LEAF):
-        index = NONE
-        p = wp.vec3d(wp.float64(wp.nan), wp.float64(wp.nan), wp.float64(wp.nan))
-        if begin + j < end:
-            index = order[begin + j]
-            p = points[index]
-        out_index[block * LEAF + j] = index
-        for axis in range(3):
-            out_positions[(block * 3 + axis) * LEAF + j] = p[axis]
+    index = NONE
+    p = wp.vec3d(wp.float64(wp.nan), wp.float64(wp.nan), wp.float64(wp.nan))
+    if at < end:
+        index = order[at]
+        p = points[index]
+    out_index[i] = index
+    for axis in range(3):
+        out_positions[(block * 3 + axis) * LEAF + i % LEAF] = p[axis]
 
 
 @wp.func

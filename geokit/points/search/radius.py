@@ -323,12 +323,7 @@ def require_room(total: int, query_count: int, device: "wp.Device", each: int = 
     """Raise DeviceMemoryError if the neighbors, of ``each`` bytes, exceed the free memory or the size of one result."""
     what = f"radius_search: {query_count} queries have {total} neighbors"
     remedy = "use a smaller radius, fewer queries at a time, radius_search_blocks() or count()"
-    needed, free = total * each, available_memory.available(device)
-    if needed > free:
-        raise DeviceMemoryError(
-            f"{what}, which need {needed / 2**30:.3g} GiB of {free / 2**30:.3g} GiB free on {device.alias}; {remedy}",
-            need=needed,
-        )
+    available_memory.require_room(total * each, f"{what}, which need", remedy, device)
     if total > MAX_NEIGHBORS:
         raise DeviceMemoryError(f"{what}; one result holds at most {MAX_NEIGHBORS}: {remedy}")
 

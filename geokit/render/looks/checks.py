@@ -125,25 +125,24 @@ def checked_colormap(colormap: str) -> str:
     return colormap
 
 
-def checked_values(values: Any, name: str, counts: dict[str, int]) -> tuple[str, NDArray[np.float64]]:
+def checked_values(color: Any, counts: dict[str, int]) -> tuple[str, NDArray[np.float64]]:
     """Match an array of values to the items that it describes, by their number.
 
     Args:
-        values: One number for each item; it need not be finite.
-        name: The argument's name for error messages.
+        color: One number for each item; it need not be finite.
         counts: Number of items by kind, such as vertices and faces.
     Returns:
         The kind of item, and the values as float64.
     Raises:
         InputError: The values are not numbers, or no kind in ``counts`` has as many items.
     """
-    array = read_array(values, name, np.float64, kinds="fiub")
+    array = read_array(color, "color", np.float64, kinds="fiub")
     if array.ndim == 1:
         for what, count in counts.items():
             if len(array) == count:
                 return what, array
     have = ", ".join(f"{count} {what}" for what, count in counts.items())
-    raise InputError(f"{name}: shape {array.shape} does not match {have}; give one value for each")
+    raise InputError(f"color: shape {array.shape} does not match {have}; give one value for each")
 
 
 def value_range(

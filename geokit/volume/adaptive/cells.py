@@ -86,10 +86,6 @@ class CellLattice:
     size: float
     within: float
 
-    def halved(self) -> CellLattice:
-        """The lattice of half the size; cell i becomes cells 2 i and 2 i + 1."""
-        return CellLattice(self.surface, self.sign, self.origin, 0.5 * self.size, self.within)
-
     def positions(self, index: NDArray[Any]) -> NDArray[np.float64]:
         """World positions of index coordinates (N, 3)."""
         return np.asarray(self.origin + self.size * index)

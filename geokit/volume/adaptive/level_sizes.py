@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from geokit.core.memory import available_memory
-from geokit.errors import DeviceMemoryError
 from geokit.volume.adaptive.cells import CellLattice, contains, near_cells
 from geokit.volume.adaptive.level_placement import FLOAT, LEAF, grid_bytes
 from geokit.volume.adaptive.refine import Refinement
@@ -152,13 +151,9 @@ def _coarsest(surface: Surface, sign: str, within: float, size: float) -> CellLa
     size *= 2.0 ** np.floor(np.log2(longest / (COARSEST_CELLS * size)))
     # Whatever the mesh, the zone around it is no smaller than a ball.
     with np.errstate(over="ignore"):
-        need, have = 4.18 * (within / size) ** 3 * BYTES_PER_CELL, available_memory.available_host()
-    if need > have:
-        raise DeviceMemoryError(
-            f"within: the cells within {within:.3g} of the mesh need {need / 2**20:.3g} MiB or more of the "
-            f"{have >> 20} MiB free; use a smaller within (its default is the tolerance)",
-            need=need,
-        )
+        need = 4.18 * (within / size) ** 3 * BYTES_PER_CELL
+    what = f"within: the cells within {within:.3g} of the mesh need"
+    available_memory.require_room(need, what, "use a smaller within (its default is the tolerance)")
     margin = np.ceil(within / size) + 3.0
     return CellLattice(surface, sign, surface.bounds[0] - margin * size, size, within)
 

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core.memory import available_memory
-from geokit.errors import DeviceMemoryError
 from geokit.volume.adaptive.cells import CORNERS, CellLattice, contains, examine, near
 from geokit.volume.adaptive.level_placement import Placement, placed
 from geokit.volume.adaptive.storage import ACCEPTED_SHARE, Storage
@@ -65,11 +64,8 @@ class Refinement:
         Raises:
             DeviceMemoryError: There are more cells than memory can hold.
         """
-        if len(cells) * CELL_BYTES > available_memory.available_host():
-            raise DeviceMemoryError(
-                f"tolerance: {len(cells)} cells of size {self.lattice_of(level).size:g} need more memory than the "
-                f"{available_memory.available_host() / 2**20:.0f} MiB there are; use a larger tolerance"
-            )
+        what = f"tolerance: {len(cells)} cells of size {self.lattice_of(level).size:g} need"
+        available_memory.require_room(len(cells) * CELL_BYTES, what, "use a larger tolerance")
         limit = self.limit_of(level)
         errors = examine(self.lattice_of(level), cells, limit, self.storage.order)
         if self.errors is not None:

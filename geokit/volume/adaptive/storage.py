@@ -44,12 +44,6 @@ class Storage(NamedTuple):
     within: float
 
     @property
-    def stencil(self) -> NDArray[np.int64]:
-        """Voxels along an axis that a cell's interpolant reads, relative to the cell's first voxel."""
-        first, count = STENCILS[self.order]
-        return np.arange(first, first + count)
-
-    @property
     def halves(self) -> NDArray[np.int64]:
         """Voxels along an axis that the interpolants of a refined cell's halves read, relative to its first voxel."""
         first, count = STENCILS[self.order]

@@ -22,8 +22,8 @@ from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.nodes import bits_of
 from geokit.volume.tree.estimates import require_host_room
 from geokit.volume.tree.leaves import voxelized
-from geokit.volume.tree.typed_batch import Tiles
 from geokit.volume.tree.typed_tree import TypedTree, tree_of
+from geokit.volume.tree.typed_writer import Tiles
 
 if TYPE_CHECKING:
     import warp as wp

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core.memory import available_memory
-from geokit.errors import DeviceMemoryError
 from geokit.volume.components.labels import CELL_SPANS, Labels, Rows
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import info_of
@@ -18,9 +17,8 @@ from geokit.volume.nanovdb.layout import LAYOUTS, LOWER_SLOTS, UPPER_SLOTS
 from geokit.volume.nanovdb.nodes import slot_of
 from geokit.volume.tree.device_leaves import build_leaves
 from geokit.volume.tree.grid_head import head_like, result_head, volume_from_buffer
-from geokit.volume.tree.typed_batch import Tiles, build_grids
 from geokit.volume.tree.typed_tree import Nodes, RootTiles, TypedTree, tree_of_leaves
-from geokit.volume.tree.typed_writer import build_grid
+from geokit.volume.tree.typed_writer import Tiles, build_grid, build_grids
 
 __all__ = ["label_volume", "split_active", "tiles_of", "volumes_of"]
 
@@ -110,13 +108,9 @@ def volumes_of(
     """
     layout = tree.layout
     nodes = layout.upper_size + layout.lower_size if tree.background.tobytes().strip(b"\0") else SPARSE_NODES
-    need, have = count * nodes + len(component) * layout.leaf_size, available_memory.available_host()
-    if need > have:
-        raise DeviceMemoryError(
-            f"volume: its {count:,} components take about {need >> 20} MiB as volumes, of {have >> 20} MiB free; use "
-            "connected_components, which labels them in one volume",
-            need=need,
-        )
+    remedy = "use connected_components, which labels them in one volume"
+    need = count * nodes + len(component) * layout.leaf_size
+    available_memory.require_room(need, f"volume: as volumes, its {count:,} components need", remedy)
     head = head_like(volume, layout, tree.background)
     begin = 0
     while begin < count:

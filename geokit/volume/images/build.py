@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from geokit._warn import warn
 from geokit.core.content_limit import require_content
 from geokit.core.memory import available_memory
-from geokit.errors import DeviceMemoryError, FileFormatError, InputError
+from geokit.errors import FileFormatError, InputError
 from geokit.formats.images.image import Image, affine
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.grid_info import GridInfo
@@ -318,10 +318,6 @@ def _typed_grid(
 
 def _require_room(path: Path, count: int, more: int, per_leaf: int) -> None:
     """Refuse to go on where memory would run out: leaves are held, joined, and written to the grid."""
-    need, have = (count + more) * per_leaf, available_memory.available_host()
-    if need > have:
-        raise DeviceMemoryError(
-            f"{path}: {count} leaves of its first slices need {need >> 20} MiB of the {have >> 20} MiB free; name "
-            "its background, or a tolerance around it (--background, --background-tolerance)",
-            need=need,
-        )
+    remedy = "name its background, or a tolerance around it (--background, --background-tolerance)"
+    what = f"{path}: {count} leaves of its first slices need"
+    available_memory.require_room((count + more) * per_leaf, what, remedy)

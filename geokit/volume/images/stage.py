@@ -24,10 +24,11 @@ from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.checks import mark_checked
 from geokit.volume.nanovdb.checksum import partial_checksum
 from geokit.volume.nanovdb.grid_info import GridInfo
-from geokit.volume.nanovdb.header import HEAD_SIZE, aligned_buffer, grid_header, voxel_size_of
+from geokit.volume.nanovdb.header import GRID_DATA, HEAD_SIZE, TREE_OFFSET, aligned_buffer, grid_header, voxel_size_of
 from geokit.volume.nanovdb.header_options import checked_transform, write_transform
 from geokit.volume.nanovdb.provenance import METERS_PER_UNIT, UNIT, world_metadata
-from geokit.volume.tree.root_table import root_span
+from geokit.volume.tree.root_table import root_spans
+from geokit.volume.tree.statistics import NO_BOX
 
 __all__ = ["StageField", "has_volumes_only", "named_field", "opened", "placed", "placed_info", "save_stage"]
 
@@ -130,7 +131,8 @@ def placed(volume: SparseVolume, field: StageField) -> SparseVolume:
         grid = grid_header(buffer)
         write_transform(grid, transform)
         box = volume.info.index_bounds
-        root_span(buffer, None if box is None else box.astype(np.int32))
+        boxes = NO_BOX if box is None else box[None].astype(np.int32)
+        root_spans(buffer[:TREE_OFFSET].view(GRID_DATA), boxes)
         grid["checksum"] = partial_checksum(buffer[:HEAD_SIZE], buffer)
         buffer.setflags(write=False)
         info = replace(info, transform=transform, voxel_size=voxel_size_of(transform))

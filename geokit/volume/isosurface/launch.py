@@ -104,12 +104,6 @@ def used_only(vertices: "wp.array", faces: "wp.array") -> tuple["wp.array", "wp.
 
 
 def require_memory(need: int, device: Any) -> None:
-    if need <= UNCHECKED_BYTES:
-        return
-    have = min(available_memory.available(device), available_memory.available_host())
-    if need > have:
-        raise DeviceMemoryError(
-            f"volume: finding its surface needs about {need >> 20} MiB of the {have >> 20} MiB free on "
-            f"{device.alias}; resample it to larger voxels",
-            need=need,
-        )
+    for place in (device, None) if need > UNCHECKED_BYTES else ():
+        what = "volume: finding its surface needs"
+        available_memory.require_room(need, what, "resample it to larger voxels", place)

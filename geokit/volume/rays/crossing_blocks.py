@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
-from geokit.core.launches import replay
+from geokit.core.launches import prepared
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.rays.ray_field import LEAF_SPAN, anchor_of, stored_box
 
@@ -66,7 +66,7 @@ def crossing_blocks(
         total = math.prod(count.tolist())
         if total > MOST_BLOCKS or total > BLOCKS_PER_RAY * ray_count:
             return None
-        replay.refuse()
+        prepared.refuse()
         while len(remembered) >= REMEMBERED:
             remembered.pop(next(iter(remembered)))
         remembered[key] = _find(volume, levels, device, anchor, first, count)

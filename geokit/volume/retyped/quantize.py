@@ -105,9 +105,7 @@ def _checked(volume: SparseVolume, codec: str | None, tolerance: float | None) -
     if codec is not None:
         require_choice(codec, "codec", CODECS)
     if tolerance is not None:
-        tolerance = user_arrays.require_finite_scalar(tolerance, "tolerance")
-        if tolerance < 0.0:
-            raise InputError(f"tolerance: {tolerance} is negative; use 0 or more")
+        tolerance = user_arrays.require_finite_scalar(tolerance, "tolerance", low=user_arrays.FROM_ZERO)
     elif codec in (None, "fpn"):
         raise InputError(f"tolerance: codec {codec!r} needs one; say by how much a voxel may change")
     if volume.info.grid_type not in SOURCES:

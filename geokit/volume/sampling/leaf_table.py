@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geokit.core import launcher
-from geokit.core.launches import replay
+from geokit.core.launches import prepared
 from geokit.core.memory.available_memory import available
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def leaf_table(volume: SparseVolume, device: "wp.Device", count: int) -> Any:
     volume._uploads[asked] = volume._uploads.get(asked, 0) + count
     if volume._uploads[asked] * ENTRIES_PER_QUERY < _most_entries(volume, *box):
         return None
-    replay.refuse()
+    prepared.refuse()
     return volume._uploads.setdefault(key, _make(volume, device, *box))
 
 

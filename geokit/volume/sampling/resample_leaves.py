@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from geokit.core.memory import available_memory
 from geokit.core.memory.row_products import row_product
-from geokit.errors import DeviceMemoryError, InputError
+from geokit.errors import InputError
 from geokit.volume.nanovdb.layout import LEAF_VOXELS
 
 __all__ = ["filled_leaves", "target_leaves", "way_between"]
@@ -77,13 +77,11 @@ def target_leaves(
         raise InputError(f"transform: voxel indices of the result exceed int32; {REMEDY}")
     size = highest - lowest + 1.0
     # In floats, because tiny voxels give more leaves than int64 can count.
-    need, have = float(size.prod(axis=1).sum()) * bytes_per_leaf, available_memory.available_host()
-    if need > have:
-        raise DeviceMemoryError(
-            f"voxel_size: the result may need {need / 2**20:.3g} MiB of the {have >> 20} MiB free; use voxels about "
-            f"{(need / have) ** (1.0 / 3.0):.2g} times as large",
-            need=need,
-        )
+    available_memory.require_room(
+        float(size.prod(axis=1).sum()) * bytes_per_leaf,
+        "voxel_size: the result may need",
+        lambda times: f"use voxels about {times ** (1.0 / 3.0):.2g} times as large",
+    )
     size = size.astype(np.int64)
     count = size.prod(axis=1)
     row = np.repeat(np.arange(len(count)), count)

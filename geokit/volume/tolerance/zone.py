@@ -136,7 +136,4 @@ def checked_within(within: float | None, tolerance: float, *, jumps: bool) -> fl
     """
     if within is None:
         return OPEN_SHARE * tolerance if jumps else tolerance
-    within = user_arrays.require_finite_scalar(within, "within")
-    if within < 0.0:
-        raise InputError(f"within: {within} is negative; use 0 or more")
-    return within
+    return user_arrays.require_finite_scalar(within, "within", low=user_arrays.FROM_ZERO)

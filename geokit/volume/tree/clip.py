@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core.memory import available_memory
-from geokit.errors import DeviceMemoryError
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.layout import LEAF_VOXELS
 from geokit.volume.nanovdb.nodes import bits_of
@@ -212,10 +211,5 @@ def _voxels_inside(
 
 
 def _require_memory(volume: SparseVolume, need: int) -> None:
-    have = available_memory.available_host()
-    if need > have:
-        raise DeviceMemoryError(
-            f"volume: the tiles of grid {volume.info.name!r} that the box cuts through need about {need >> 20} MiB, of "
-            f"{have >> 20} MiB free; use a smaller box",
-            need=need,
-        )
+    what = f"volume: the tiles of grid {volume.info.name!r} that the box cuts through need"
+    available_memory.require_room(need, what, "use a smaller box")

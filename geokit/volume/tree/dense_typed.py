@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from geokit.core.launcher import pool
 from geokit.core.memory import available_memory
 from geokit.core.require import described, read_array
-from geokit.errors import DeviceMemoryError, InputError
+from geokit.errors import InputError
 from geokit.volume.nanovdb.layout import LAYOUTS, LEAF_VOXELS, LOWER_SLOTS, GridLayout
 from geokit.volume.nanovdb.nodes import slot_of
 from geokit.volume.nanovdb.types import CLASS_TYPES, WHOLE_TYPES, WHOLE_VECTOR_TYPES
 from geokit.volume.tree.typed_tree import VALUE_TYPES, Nodes, TypedTree, tree_of_leaves
 
-__all__ = ["DenseRule", "background_of", "layout_for", "tree_of_dense"]
+__all__ = ["DenseRule", "background_of", "layout_for", "require_leaves", "tree_of_dense"]
 
 # Numbers that a thread processes together: with their states they stay in its cache.
 NUMBERS_AT_A_TIME = 1 << 18
@@ -77,6 +77,12 @@ class DenseRule:
             values[~active] = self.background
 
 
+def require_leaves(count: int, each: int) -> None:
+    """Raise DeviceMemoryError if the host has no room for ``count`` leaves of an array, of ``each`` bytes."""
+    remedy = "use a larger tolerance, or parts of the array"
+    available_memory.require_room(count * each, f"values: {count} leaves need", remedy)
+
+
 def tree_of_dense(dense: NDArray[Any], start: NDArray[np.int64], rule: DenseRule) -> TypedTree:
     """Build the tree of an array: leaves where a voxel is active, and in a level set tiles inside.
 
@@ -92,14 +98,7 @@ def tree_of_dense(dense: NDArray[Any], start: NDArray[np.int64], rule: DenseRule
     # NumPy releases the GIL in most of these passes.
     states = np.concatenate([np.zeros((0, *tiles.count[1:]), np.uint8), *pool().map(tiles.states, tiles.layers)])
     places = np.argwhere(states == LEAF)
-    need = len(places) * (LEAF_VOXELS * layout.background.itemsize + layout.leaf_size + 256)
-    have = available_memory.available_host()
-    if need > have:
-        raise DeviceMemoryError(
-            f"values: {len(places)} leaves need {need >> 20} MiB of the {have >> 20} MiB free; use a larger "
-            "tolerance, or parts of the array",
-            need=need,
-        )
+    require_leaves(len(places), LEAF_VOXELS * layout.background.itemsize + layout.leaf_size + 256)
     values = np.empty((len(places), LEAF_VOXELS, *background.shape), background.dtype)
     masks = np.empty((len(places), LEAF_VOXELS // 8), np.uint8)
     pool().map(lambda x: tiles.fill(x, places, values, masks), tiles.layers)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from geokit.core.memory import available_memory
 from geokit.core.memory.needs import require_free
-from geokit.errors import DeviceMemoryError, InputError
+from geokit.errors import InputError
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.checks import check_volume
 from geokit.volume.nanovdb.layout import LEAF_VOXELS
@@ -115,15 +115,8 @@ def require_host_room(need: int, what: str) -> None:
     Raises:
         DeviceMemoryError: They are not; the message starts with ``what`` and states the estimate.
     """
-    if need <= UNCHECKED_BYTES:
-        return
-    have = available_memory.available_host()
-    if need > have:
-        raise DeviceMemoryError(
-            f"{what} need about {need >> 20} MiB, of {have >> 20} MiB free; clip it, or resample it at a larger "
-            "voxel_size",
-            need=need,
-        )
+    if need > UNCHECKED_BYTES:
+        available_memory.require_room(need, f"{what} need", "clip it, or resample it at a larger voxel_size")
 
 
 def require_places(tiles: NDArray[np.int32], name: str) -> None:

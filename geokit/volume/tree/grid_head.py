@@ -34,7 +34,7 @@ from geokit.volume.nanovdb.header_options import (
 )
 from geokit.volume.nanovdb.layout import LAYOUTS, GridLayout
 from geokit.volume.nanovdb.nodes import grid_nodes
-from geokit.volume.tree.root_table import root_keys_of, root_span, with_gaps
+from geokit.volume.tree.root_table import root_keys_of, root_spans, with_gaps
 
 __all__ = [
     "GridHead",
@@ -225,4 +225,4 @@ def write_root(
         box[0], box[1] = boxes[some, 0].min(axis=0), boxes[some, 1].max(axis=0)
         grid.root.limits[0] = extrema[some, 0].min(), extrema[some, 1].max()
     tree_header(buffer)["voxel_count"] = active
-    root_span(buffer, box if some.any() else None)
+    root_spans(buffer[:TREE_OFFSET].view(GRID_DATA), box[None])

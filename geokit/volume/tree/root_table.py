@@ -8,14 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.errors import InputError
-from geokit.volume.nanovdb.header import FLAG_HAS_BBOX, grid_header
+from geokit.volume.nanovdb.header import FLAG_HAS_BBOX
 
-__all__ = ["root_keys_of", "root_span", "with_gaps"]
+__all__ = ["root_keys_of", "root_spans", "with_gaps"]
 
 # Largest number of tiles between upper nodes: they are 2 MiB and cover 2.7e8 voxels of solid along an axis.
 LARGEST_GAP_TILES = 1 << 16
 # Bits of a coordinate in the key of a root entry.
 ROOT_BITS = 20
+# For each corner of a box, which end it has along each axis; the box of nothing.
+_CORNERS = np.indices((2, 2, 2)).reshape(3, -1)
+_NO_BOX = np.repeat([np.finfo(np.float64).max, np.finfo(np.float64).min], 3)
 
 
 def root_keys_of(voxels: NDArray[Any]) -> NDArray[np.uint64]:
@@ -59,15 +62,17 @@ def with_gaps(
 
 
 @np.errstate(over="ignore", invalid="ignore")  # transforms of damaged files
-def root_span(buffer: NDArray[np.uint8], box: NDArray[np.int32] | None) -> None:
-    """Write the grid's world box; its upper corner is the far side of the last voxel, as in NanoVDB."""
-    grid = grid_header(buffer)
-    if box is None:
-        limits = np.finfo(np.float64)
-        grid["world_bbox"] = [limits.max] * 3 + [limits.min] * 3
-        return
-    ends = np.stack([box[0].astype(np.float64), box[1].astype(np.float64) + 1.0])
-    corners = np.array(np.meshgrid(*ends.T, indexing="ij")).reshape(3, -1)
-    world = grid["matrix"].reshape(3, 3) @ corners + grid["vector"][:, None]
-    grid["world_bbox"] = np.concatenate([world.min(axis=1), world.max(axis=1)])
-    grid["flags"] |= FLAG_HAS_BBOX
+def root_spans(grids: NDArray[Any], boxes: NDArray[np.int32]) -> None:
+    """Write world boxes in headers (N,); an upper corner is the far side of the last voxel, as in NanoVDB.
+
+    Args:
+        grids: The headers, of type GRID_DATA.
+        boxes: First and last active voxels (N, 2, 3), in reverse order if there are none.
+    """
+    grids["world_bbox"] = _NO_BOX
+    some = np.flatnonzero(boxes[:, 0, 0] <= boxes[:, 1, 0])
+    ends = boxes[some].astype(np.float64) + np.array([[0.0], [1.0]])
+    corners = ends[:, _CORNERS, np.arange(3)[:, None]]
+    world = grids["matrix"][some].reshape(-1, 3, 3) @ corners + grids["vector"][some, :, None]
+    grids["world_bbox"][some] = np.concatenate([world.min(axis=2), world.max(axis=2)], axis=1)
+    grids["flags"][some] |= FLAG_HAS_BBOX

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from geokit.volume.nanovdb.layout import GridLayout
 from geokit.volume.nanovdb.nodes import bits_of
 
-__all__ = ["Items", "add_items", "items_of_leaves", "items_of_tiles", "reduced"]
+__all__ = ["NO_BOX", "Items", "add_items", "items_of_leaves", "items_of_tiles", "reduced"]
 
 # The neutral element of a union of boxes.
 NO_BOX = np.array([[[np.iinfo(np.int32).max] * 3, [np.iinfo(np.int32).min] * 3]], np.int32)
@@ -59,8 +59,8 @@ def items_of_leaves(
     values: NDArray[Any],
     out: Items,
     part: slice,
-) -> int:
-    """Fill a part of ``out`` from leaves; returns the number of their active voxels."""
+) -> NDArray[np.int64]:
+    """Fill a part of ``out`` from leaves; returns their numbers of active voxels."""
     local = _local_boxes(masks)
     some = local[:, 0, 0] <= local[:, 1, 0]
     out.boxes[part] = np.where(some[:, None, None], local + origins[:, None, :], NO_BOX)
@@ -78,7 +78,7 @@ def items_of_leaves(
             column[part] = values[rows, at]
             if key_column is not column:
                 key_column[part] = keys[rows, at]
-    return int(_BITS[masks].sum(dtype=np.int64))
+    return np.asarray(_BITS[masks].sum(axis=1, dtype=np.int64))
 
 
 def items_of_tiles(layout: GridLayout, origins: NDArray[np.int32], values: NDArray[Any], span: int) -> Items:
@@ -109,17 +109,16 @@ def reduced(items: Items, parent: NDArray[np.int64], count: int) -> Items:
     used = np.flatnonzero(items.some())
     if not len(used):
         return out
-    for order, column, source, key_column, key in (
-        (np.lexsort((items.low_key[used], parent[used])), out.low, items.low, out.low_key, items.low_key),
-        (np.lexsort((_turned(items.high_key[used]), parent[used])), out.high, items.high, out.high_key, items.high_key),
-    ):
-        rows = used[order]
-        nodes, starts = np.unique(parent[rows], return_index=True)
-        column[nodes] = source[rows[starts]]
-        if key_column is not column:
-            key_column[nodes] = key[rows[starts]]
-        out.boxes[nodes, 0] = np.minimum.reduceat(items.boxes[rows, 0], starts)
-        out.boxes[nodes, 1] = np.maximum.reduceat(items.boxes[rows, 1], starts)
+    parent = parent[used]
+    rows = used[np.lexsort((items.low_key[used], parent))]
+    most = used[np.lexsort((_turned(items.high_key[used]), parent))]
+    nodes, counts = np.unique(parent, return_counts=True)
+    starts = np.cumsum(counts) - counts
+    out.boxes[nodes, 0] = np.minimum.reduceat(items.boxes[rows, 0], starts)
+    out.boxes[nodes, 1] = np.maximum.reduceat(items.boxes[rows, 1], starts)
+    low[nodes], high[nodes] = items.low[rows[starts]], items.high[most[starts]]
+    if keys[0] is not low:
+        keys[0][nodes], keys[1][nodes] = items.low_key[rows[starts]], items.high_key[most[starts]]
     return out
 
 

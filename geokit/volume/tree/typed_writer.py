@@ -1,8 +1,12 @@
-"""Writer of NanoVDB grids of any value type, from their leaves and tiles, on the host."""
+"""Writer of NanoVDB grids of any value type, from their leaves and tiles, on the host: one, or many at once.
+
+All but the tables of nodes and the copies into each grid's own buffer is computed for all grids together.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,24 +22,23 @@ from geokit.volume.nanovdb.header import (
     FLAG_HAS_BBOX,
     FLAG_HAS_MIN_MAX,
     FLAG_LONG_NAME,
+    GRID_DATA,
     HEAD_SIZE,
+    TREE_DATA,
     TREE_OFFSET,
     aligned_buffer,
     grid_header,
     info_of,
-    tree_header,
 )
 from geokit.volume.nanovdb.header_options import write_header
 from geokit.volume.nanovdb.layout import ALIGNMENT, GRID_TYPES, LAYOUTS
-from geokit.volume.nanovdb.nodes import GridNodes, NodeLevel, grid_nodes, set_bits, slot_of, slot_places
+from geokit.volume.nanovdb.nodes import NodeLevel, grid_nodes, root_origins, set_bits, slot_of, slot_places
 from geokit.volume.tree.grid_head import GridHead, head_like
-from geokit.volume.tree.root_table import root_keys_of, root_span
+from geokit.volume.tree.root_table import root_keys_of, root_spans
 from geokit.volume.tree.statistics import Items, add_items, items_of_leaves, items_of_tiles, reduced
-from geokit.volume.tree.typed_tree import Nodes, TypedTree, differs, tree_of
+from geokit.volume.tree.typed_tree import TypedTree, differs, tree_of
 
-__all__ = [
-    "WIDENED", "build_grid", "name_block", "rebuilt", "widened", "write_heads", "write_leaves", "write_statistics",
-]  # fmt: skip
+__all__ = ["WIDENED", "Tiles", "build_grid", "build_grids", "rebuilt", "widened"]
 
 # Types of small integers that OpenVDB lacks.
 WIDENED = ("int16", "uint8")
@@ -44,30 +47,42 @@ WIDENED = ("int16", "uint8")
 LEAVES_AT_A_TIME = 256
 
 
-class _Places(NamedTuple):
-    """Nodes of a grid and their relations, in breadth-first order.
+class Tiles(NamedTuple):
+    """Tiles of one size: grid (T,), first voxels (T, 3), values (T,) or (T, C), and whether they are active (T,)."""
+
+    grid: NDArray[np.int64]
+    origins: NDArray[np.int32]
+    values: NDArray[Any]
+    active: NDArray[np.bool_]
+
+    def rows(self, kept: Any) -> Tiles:
+        """Select tiles by a mask, a slice or indices."""
+        return Tiles(self.grid[kept], self.origins[kept], self.values[kept], self.active[kept])
+
+
+@dataclass(frozen=True)
+class _Nodes:
+    """Nodes of one level of all grids: their heads (tables left out), and what stands in their slots.
 
     Attributes:
-        leaf_order: Row of each leaf in the tree.
-        leaf_lower: Lower node of each leaf.
-        leaf_slot: Slot of each leaf in its lower node.
-        lower_origins: First voxel of each lower node.
-        lower_upper: Upper node of each lower node.
-        lower_slot: Slot of each lower node in its upper node.
-        lower_row: Row of each lower node in the tree, -1 if the tree does not have it.
-        upper_origins: First voxel of each upper node.
-        upper_row: Row of each upper node in the tree, -1 if the tree does not have it.
+        heads: Bytes of each node before its table.
+        children: Slot of each child, in the order of the level below.
+        child_node: Node of each child.
+        tile_ends: Tiles of the nodes up to each node.
+        tiles: Slot and value of each tile.
+        fills: Rows of nodes, and values (N, slots), or (N, 1), that stand in their slots before tiles and children.
+        items: Boxes and extrema.
+        active: Node of each active tile.
     """
 
-    leaf_order: NDArray[np.int64]
-    leaf_lower: NDArray[np.int64]
-    leaf_slot: NDArray[np.int64]
-    lower_origins: NDArray[np.int32]
-    lower_upper: NDArray[np.int64]
-    lower_slot: NDArray[np.int64]
-    lower_row: NDArray[np.int64]
-    upper_origins: NDArray[np.int32]
-    upper_row: NDArray[np.int64]
+    heads: NDArray[np.uint8]
+    children: NDArray[np.int64]
+    child_node: NDArray[np.int64]
+    tile_ends: NDArray[np.int64]
+    tiles: tuple[NDArray[np.int64], NDArray[Any]]
+    fills: list[tuple[NDArray[np.int64], NDArray[Any]]]
+    items: Items
+    active: NDArray[np.int64]
 
 
 def rebuilt(tree: TypedTree, volume: SparseVolume, transform: NDArray[np.float64] | None = None) -> SparseVolume:
@@ -106,105 +121,192 @@ def build_grid(tree: TypedTree, head: GridHead) -> NDArray[np.uint8]:
     Returns:
         The grid: uint8, 32-byte aligned, read-only.
     """
+    root = tree.root
+    if len(root.origins):
+        used = np.concatenate([tree.origins, tree.lower.origins, tree.upper.origins])
+        root = root.rows(~np.isin(root_keys_of(root.origins), root_keys_of(used)))
+    none, tiles = (Tiles(np.zeros(len(part.origins), np.int64), *part) for part in (root.rows(slice(0)), root))
+    return next(build_grids(tree, np.zeros(len(tree.origins), np.int64), (none, none, tiles), 1, head))
+
+
+def build_grids(
+    tree: TypedTree, grid_of: NDArray[np.int64], tiles: Sequence[Tiles], count: int, head: GridHead
+) -> Iterator[NDArray[np.uint8]]:
+    """Build grids from their leaves and tiles.
+
+    Args:
+        tree: The leaves of all grids, with the layout and background of ``head``; it has nodes only for one grid alone.
+        grid_of: Grid of each leaf, (L,), from 0 to ``count`` - 1. A grid has each place once.
+        tiles: Tiles of 8^3, 128^3 and 4096^3 voxels, without children below them.
+        count: Number of grids.
+        head: Specification of all grids.
+    Yields:
+        Each grid as ``build_grid`` makes it.
+    """
     layout = tree.layout
-    places = _places(tree)
-    keys = root_keys_of(places.upper_origins)
-    tile_keys = root_keys_of(tree.root.origins)
-    kept = np.flatnonzero(~np.isin(tile_keys, keys))
-    upper_begin = HEAD_SIZE + layout.root_size + (len(keys) + len(kept)) * layout.root_tile_size
-    lower_begin = upper_begin + len(keys) * layout.upper_size
-    leaf_begin = lower_begin + len(places.lower_upper) * layout.lower_size
-    tree_end = leaf_begin + len(tree.origins) * layout.leaf_size
-    name = name_block(head)
-    # Pages from calloc are zero until they are written, so padding costs nothing.
-    buffer = aligned_buffer(-(-(tree_end + len(name)) // ALIGNMENT) * ALIGNMENT, zeroed=True)
-    buffer[tree_end : tree_end + len(name)] = name
-    begins = (leaf_begin, lower_begin, upper_begin, HEAD_SIZE)
-    counts = (len(tree.origins), len(places.lower_upper), len(keys))
-    write_heads(buffer, head, begins, counts, tree_end)
+    nodes_of = ((np.zeros(len(nodes.origins), np.int64), nodes.origins) for nodes in (tree.lower, tree.upper))
+    sources = (grid_of, tree.origins), tiles[0][:2], tiles[1][:2], *nodes_of
+    (place, small, large, lower_own, upper_own), uppers = _places(*sources)
+    order = np.argsort(place, kind="stable")
+    place = place[order]
+    lower_place = np.unique(np.concatenate([place, small, lower_own]) >> 12)
+    lower_upper, upper_origins = lower_place >> 15, root_origins(uppers["root"])
+    entries = _entries(tree, uppers, tiles[2])
+    grids_of = (grid_of, uppers["grid"][lower_upper], uppers["grid"], entries["grid"])
+    numbers = np.stack([np.bincount(grid, minlength=count) for grid in grids_of], axis=1)
+    ends = np.cumsum(numbers, axis=0)
+    begins = np.full((count, 4), HEAD_SIZE)
+    begins[:, 2] += layout.root_size + numbers[:, 3] * layout.root_tile_size
+    begins[:, 1] = begins[:, 2] + numbers[:, 2] * layout.upper_size
+    begins[:, 0] = begins[:, 1] + numbers[:, 1] * layout.lower_size
+    tree_ends = begins[:, 0] + numbers[:, 0] * layout.leaf_size
+    name = _name_block(head)
+    sizes = -(-(tree_ends + len(name)) // ALIGNMENT) * ALIGNMENT
 
-    grid = grid_nodes(buffer, layout)
-    upper, lower = grid.upper, grid.lower
-    active_upper = _fill(upper, tree, tree.upper, places.upper_row, places.upper_origins)
-    active_lower = _fill(lower, tree, tree.lower, places.lower_row, places.lower_origins)
-    _link(upper, places.lower_upper, places.lower_slot, lower.starts)
-    _link(lower, places.leaf_lower, places.leaf_slot, grid.leaf.starts)
+    # The leaves of one grid alone are written where they stay. Pages are zero until written, so padding costs nothing.
+    alone, step = count == 1, layout.leaf_size
+    rows = aligned_buffer(int(sizes[0]) if alone else len(order) * step, zeroed=True)
+    begin = int(begins[0, 0]) if alone else 0
+    leaf = NodeLevel(rows, layout, "leaf", begin, len(order), step, layout.leaf_table, 8, 1)
+    items, voxels = _write_leaves(leaf, tree, order)
+    lower_origins = upper_origins[lower_upper] + 128 * slot_places(lower_place & 0x7FFF, 32)
+    lower = _level(tree, "lower", lower_place, lower_origins, items, place, tiles[0], small, lower_own >> 12)
+    upper_place = np.arange(len(uppers))
+    upper = _level(
+        tree, "upper", upper_place, upper_origins, lower.items, lower_place, tiles[1], large >> 12, upper_own >> 27
+    )
+    on = tiles[2].rows(tiles[2].active)
+    root_items = items_of_tiles(layout, on.origins, on.values, 4096)
+    root_items = reduced(*add_items(upper.items, uppers["grid"], root_items, on.grid), count)
+    grids_of_tiles = (grids_of[1][lower.active], grids_of[2][upper.active], on.grid)
+    tile_counts = np.stack([np.bincount(grid, minlength=count) for grid in grids_of_tiles], axis=1)
+    grids, trees = _heads(head, begins, numbers[:, :3], tree_ends, sizes, root_items)
+    trees["tile_count"] = tile_counts
+    active = np.bincount(grid_of[order], voxels, count).astype(np.int64)
+    trees["voxel_count"] = active + tile_counts @ np.array([8, 128, 4096]) ** 3
+    roots = _roots(tree, root_items, numbers[:, 3])
+    has_background = bool(tree.background.tobytes().strip(b"\0"))
 
-    items, voxels = write_leaves(grid.leaf, tree, places.leaf_order)
-    tile_counts = []
-    for level, origins, parent, active in (
-        (lower, places.lower_origins, places.leaf_lower, active_lower),
-        (upper, places.upper_origins, places.lower_upper, active_upper),
-    ):
-        node, slot, values = _active_tiles(level, active)
-        tile_counts.append(len(node))
-        voxels += len(node) * level.span**3
-        corners = origins[node] + level.span * slot_places(slot, level.width)
-        tiles = items_of_tiles(layout, corners, values, level.span)
-        items = reduced(*add_items(items, parent, tiles, node), level.count)
-        write_statistics(level, origins, items)
-    root = tree.root.rows(kept)
-    tile_counts.append(int(root.active.sum()))
-    voxels += tile_counts[2] * 4096**3
-    tiles = items_of_tiles(layout, root.origins[root.active], root.values[root.active], 4096)
-    items = reduced(*add_items(items, np.zeros(upper.count, np.int64), tiles, np.zeros(tile_counts[2], np.int64)), 1)
-    _write_root(grid, tree, keys, kept, tile_keys, items)
-    header = tree_header(buffer)
-    header["tile_count"], header["voxel_count"] = tile_counts, voxels
-    grid_header(buffer)["checksum"] = partial_checksum(buffer[:HEAD_SIZE], buffer)
-    buffer.setflags(write=False)
-    return buffer
+    for number in range(count):
+        buffer = rows if alone else aligned_buffer(int(sizes[number]), zeroed=True)
+        buffer[int(tree_ends[number]) :][: len(name)] = name
+        buffer[:TREE_OFFSET] = grids[number : number + 1].view(np.uint8)
+        buffer[TREE_OFFSET:HEAD_SIZE] = trees[number : number + 1].view(np.uint8)
+        buffer[HEAD_SIZE:][: layout.root_size] = roots[number]
+        grid = grid_nodes(buffer, layout)
+        leaf_part, lower_part, upper_part, own = map(slice, (ends - numbers)[number].tolist(), ends[number].tolist())
+        for column, source in (("key", "root"), ("state", "state"), ("value", "value")):
+            grid.table[column] = entries[source][own]
+        child = entries["child"][own]
+        to_upper = grid.upper.begin - HEAD_SIZE + (child - upper_part.start) * layout.upper_size
+        grid.table["child"] = np.where(child >= 0, to_upper, 0)
+        for level, target, below, nodes, held in (
+            (upper, grid.upper, grid.lower, upper_part, lower_part),
+            (lower, grid.lower, grid.leaf, lower_part, leaf_part),
+        ):
+            target.column(np.uint8, 0, target.table)[:] = level.heads[nodes]
+            values = target.values
+            if has_background:
+                values[:] = tree.background
+            for node, contents in level.fills:
+                values[node] = contents
+            if len(level.tiles[0]) and target.count:
+                some = slice(level.tile_ends[nodes.start - 1] if nodes.start else 0, level.tile_ends[nodes.stop - 1])
+                at = np.repeat(np.arange(target.count), np.diff(level.tile_ends[nodes], prepend=some.start))
+                values[at, level.tiles[0][some]] = level.tiles[1][some]
+            node, slot = level.child_node[held] - nodes.start, level.children[held]
+            # A value may be longer than an offset, so the slot is cleared first.
+            values[node, slot] = 0
+            target.child_offsets[node, slot] = below.starts - target.begin - node * target.size
+        if not alone:
+            buffer[grid.leaf.begin : grid.leaf.end] = rows[leaf_part.start * step : leaf_part.stop * step]
+        grid_header(buffer)["checksum"] = partial_checksum(buffer[:HEAD_SIZE], buffer)
+        buffer.setflags(write=False)
+        yield buffer
 
 
-def _places(tree: TypedTree) -> _Places:
-    parts = (tree.origins, tree.lower.origins, tree.upper.origins)
-    keys = [root_keys_of(part) for part in parts]
-    root, first = np.unique(np.concatenate(keys), return_index=True)
-    upper_origins = (np.concatenate(parts)[first] & ~np.int32(4095)).reshape(-1, 3)
-    rank = [np.searchsorted(root, key).astype(np.int64) for key in keys]
-    # At most 2^36 upper nodes leave 27 bits for the slots in them.
-    leaf_place = rank[0] << 27 | slot_of(parts[0], 32, 128) << 12 | slot_of(parts[0], 16, 8)
-    order = np.argsort(leaf_place, kind="stable")
-    leaf_place = leaf_place[order]
-    old_lower = rank[1] << 15 | slot_of(parts[1], 32, 128)
-    lower_place, first = np.unique(np.concatenate([leaf_place >> 12, old_lower]), return_index=True)
-    lower_origins = (np.concatenate([tree.origins[order], tree.lower.origins])[first] & ~np.int32(127)).reshape(-1, 3)
-    lower_row = np.full(len(lower_place), -1)
-    lower_row[np.searchsorted(lower_place, old_lower)] = np.arange(len(old_lower))
-    upper_row = np.full(len(root), -1)
-    upper_row[rank[2]] = np.arange(len(rank[2]))
-    return _Places(
-        leaf_order=order,
-        leaf_lower=np.searchsorted(lower_place, leaf_place >> 12),
-        leaf_slot=leaf_place & 0xFFF,
-        lower_origins=lower_origins,
-        lower_upper=lower_place >> 15,
-        lower_slot=lower_place & 0x7FFF,
-        lower_row=lower_row,
-        upper_origins=upper_origins,
-        upper_row=upper_row,
+def _places(*sources: Any) -> tuple[list[NDArray[np.int64]], NDArray[Any]]:
+    """Places of the voxels of some sources (grids, voxels); grid and root key of the upper nodes of all grids.
+
+    A place is the number of the upper node, then the slots there and in the lower node: at most 2^36 upper nodes leave
+    27 bits for them.
+    """
+    grids, voxels = map(np.concatenate, zip(*sources, strict=True))
+    keys = root_keys_of(voxels)
+    order = np.lexsort((keys, grids))
+    uppers = np.empty(len(keys), [("grid", np.int64), ("root", np.uint64)])
+    uppers["grid"], uppers["root"] = grids[order], keys[order]
+    first = np.ones(len(keys), np.bool_)
+    first[1:] = uppers[1:] != uppers[:-1]
+    upper = np.empty(len(keys), np.int64)
+    upper[order] = np.cumsum(first) - 1
+    places = upper << 27 | slot_of(voxels, 32, 128) << 12 | slot_of(voxels, 16, 8)
+    ends = np.cumsum([len(grid) for grid, _ in sources])
+    return np.split(places, ends[:-1]), uppers[first]
+
+
+def _level(
+    tree: TypedTree,
+    name: str,
+    places: NDArray[np.int64],
+    origins: NDArray[np.int32],
+    child_items: Items,
+    child_place: NDArray[np.int64],
+    tiles: Tiles,
+    tile_place: NDArray[np.int64],
+    own_place: NDArray[np.int64],
+) -> _Nodes:
+    """Nodes at some places, ascending; a place of a child or tile is that of its node, then its slot.
+
+    Those of the tree stand at ``own_place``; others are filled with the tile that they replace.
+    """
+    layout = tree.layout
+    table, width, span, nodes = (
+        (layout.upper_table, 32, 128, tree.upper) if name == "upper" else (layout.lower_table, 16, 8, tree.lower)
+    )
+    slots = width**3
+    child_node, tile_node = (np.searchsorted(places, place // slots) for place in (child_place, tile_place))
+    child_slot, tile_slot = child_place % slots, tile_place % slots
+    heads = np.zeros((len(places), table), np.uint8)
+    masks, child_masks = heads[:, 32 : 32 + slots // 8], heads[:, 32 + slots // 8 : 32 + slots // 4]
+    own = np.searchsorted(places, own_place)
+    masks[own] = np.packbits(nodes.active, axis=1, bitorder="little")
+    fills = [(own, nodes.values)] if len(own) else []
+    if len(tree.upper.origins) or len(tree.root.origins):
+        fresh = np.delete(np.arange(len(places)), own)
+        values, states = tree.tiles_at(origins[fresh], below_root=name == "lower")
+        masks[fresh[states]] = 255
+        some = states | differs(values, tree.background)
+        fills.append((fresh[some], values[some, None]))
+    np.bitwise_or.at(child_masks, (child_node, child_slot >> 3), (1 << (child_slot & 7)).astype(np.uint8))
+    masks &= ~child_masks
+    on = tiles.rows(tiles.active)
+    active = [(tile_node[tiles.active], on.origins, on.values)] if len(tile_place) else []
+    for rows, contents in fills:
+        node, slot = set_bits(masks[rows])
+        contents = np.broadcast_to(contents, (len(rows), slots, *contents.shape[2:]))
+        active.append((rows[node], origins[rows[node]] + span * slot_places(slot, width), contents[node, slot]))
+    np.bitwise_or.at(masks, (tile_node, tile_slot >> 3), (tiles.active << (tile_slot & 7)).astype(np.uint8))
+    items, parent = child_items, child_node
+    for node, corners, values in active:
+        items, parent = add_items(items, parent, items_of_tiles(layout, corners, values, span), node)
+    items = reduced(items, parent, len(places))
+    level = NodeLevel(heads.reshape(-1), layout, name, 0, len(places), table, table, width, span)
+    _write_statistics(level, origins, items)
+    order = np.argsort(tile_node, kind="stable")
+    return _Nodes(
+        heads=heads,
+        children=child_slot,
+        child_node=child_node,
+        tile_ends=np.cumsum(np.bincount(tile_node, minlength=len(places))),
+        tiles=(tile_slot[order], tiles.values[order]),
+        fills=fills,
+        items=items,
+        active=parent[len(child_node) :],
     )
 
 
-def _link(level: NodeLevel, node: NDArray[np.int64], slot: NDArray[np.int64], child: NDArray[np.int64]) -> None:
-    """Store the offsets of children in slots."""
-    # A value may be longer than an offset, so the slot is cleared first.
-    level.values[node, slot] = np.zeros(level.layout.background.shape, level.layout.background.base)
-    level.child_offsets[node, slot] = child - (level.begin + node * level.size)
-    np.bitwise_or.at(level.child_mask, (node, slot >> 3), (1 << (slot & 7)).astype(np.uint8))
-
-
-def _active_tiles(
-    level: NodeLevel, rows: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[Any]]:
-    """Node, slot and value of the active tiles of some nodes, whose slots with children become inactive."""
-    masks = level.value_mask[rows] & ~level.child_mask[rows]
-    level.value_mask[rows] = masks
-    node, slot = set_bits(masks)
-    return rows[node], slot, level.values[rows[node], slot]
-
-
-def write_statistics(level: NodeLevel, origins: NDArray[np.int32], items: Items) -> None:
+def _write_statistics(level: NodeLevel, origins: NDArray[np.int32], items: Items) -> None:
     """Write box, flag, minimum and maximum of the nodes."""
     some = items.some()
     # Readers take a node's origin from its box, so an empty box starts at the origin too, and ends before it.
@@ -215,54 +317,13 @@ def write_statistics(level: NodeLevel, origins: NDArray[np.int32], items: Items)
     limits[some, 0], limits[some, 1] = items.low[some], items.high[some]
 
 
-def _fill(
-    level: NodeLevel, tree: TypedTree, nodes: Nodes, row: NDArray[np.int64], origins: NDArray[np.int32]
-) -> NDArray[np.int64]:
-    """Write the tiles of a level, those of the tree's ``nodes`` and of all others; returns nodes with active ones."""
-    tiles = level.values
-    if tree.background.tobytes().strip(b"\0"):
-        tiles[:] = tree.background
-    active = _own(level, tiles, nodes, row)
-    fresh = np.flatnonzero(row < 0)
-    return _filled(level, tiles, tree, fresh, origins[fresh], active)
-
-
-def _filled(
-    level: NodeLevel,
-    tiles: NDArray[Any],
-    tree: TypedTree,
-    fresh: NDArray[np.int64],
-    origins: NDArray[np.int32],
-    active: list[int],
-) -> NDArray[np.int64]:
-    """Fill nodes missing in the tree with the tile that they replace; returns those with active slots."""
-    if len(tree.upper.origins) or len(tree.root.origins):
-        values, states = tree.tiles_at(origins, below_root=level.span == 8)
-        masks = level.value_mask
-        for row in np.flatnonzero(states | differs(values, tree.background)):
-            tiles[fresh[row]] = values[row]
-            masks[fresh[row]] = 255 if states[row] else 0
-        active += fresh[states].tolist()
-    return np.array(sorted(active), np.int64)
-
-
-def _own(level: NodeLevel, tiles: NDArray[Any], nodes: Nodes, row: NDArray[np.int64]) -> list[int]:
-    """Copy the tiles of nodes that the tree has; returns the nodes with active tiles."""
-    old = np.flatnonzero(row >= 0)
-    masks = level.value_mask
-    for node in old:
-        tiles[node] = nodes.values[row[node]]
-        masks[node] = np.packbits(nodes.active[row[node]], bitorder="little")
-    return [int(node) for node in old if nodes.active[row[node]].any()]
-
-
-def write_leaves(leaf: NodeLevel, tree: TypedTree, leaf_order: NDArray[np.int64]) -> tuple[Items, int]:
-    """Write a tree's leaves in some order; returns their items and the number of active voxels."""
+def _write_leaves(leaf: NodeLevel, tree: TypedTree, leaf_order: NDArray[np.int64]) -> tuple[Items, NDArray[np.int64]]:
+    """Write a tree's leaves in some order; returns their items and numbers of active voxels."""
     layout = leaf.layout
     items = Items.empty(layout, leaf.count)
     first_voxel, extent, flag = leaf.column("<i4", 0, 3), leaf.column(np.uint8, 12, 3), leaf.column(np.uint8, 15, 1)
 
-    def write(first: int) -> int:
+    def write(first: int) -> NDArray[np.int64]:
         part = slice(first, min(first + LEAVES_AT_A_TIME, leaf.count))
         order = leaf_order[part]
         masks, values, origins = tree.masks[order], tree.values[order], tree.origins[order]
@@ -286,61 +347,69 @@ def write_leaves(leaf: NodeLevel, tree: TypedTree, leaf_order: NDArray[np.int64]
     if leaf.count <= LEAVES_AT_A_TIME:
         return items, write(0)
     # NumPy releases the GIL in most of these passes.
-    return items, sum(pool().map(write, range(0, leaf.count, LEAVES_AT_A_TIME)))
+    return items, np.concatenate(list(pool().map(write, range(0, leaf.count, LEAVES_AT_A_TIME))))
 
 
-def _write_root(
-    grid: GridNodes,
-    tree: TypedTree,
-    keys: NDArray[np.uint64],
-    kept: NDArray[np.int64],
-    tile_keys: NDArray[np.uint64],
-    items: Items,
-) -> None:
-    root = grid.root
-    grid.entry_count[0] = len(keys) + len(kept)
-    table = grid.table
-    rank = np.argsort(np.argsort(np.concatenate([keys, tile_keys[kept]])))
-    table["value"] = grid.background[...] = tree.background
-    table["key"][rank] = np.concatenate([keys, tile_keys[kept]])
-    table["child"][rank[: len(keys)]] = grid.upper.starts - root.begin
-    table["value"][rank[len(keys) :]] = tree.root.values[kept]
-    table["state"][rank[len(keys) :]] = tree.root.active[kept]
-    box = root.column(("<i4", 3), 0, 2)[0]
-    box[0], box[1] = np.iinfo(np.int32).max, np.iinfo(np.int32).min
-    root.limits[:] = tree.background if tree.layout.leaf_bits > 1 else False
-    some = bool(items.some()[0])
-    if some:
-        box[:] = items.boxes[0]
-        root.limits[0] = items.low[0], items.high[0]
-    root_span(root.buffer, box if some else None)
+def _entries(tree: TypedTree, uppers: NDArray[Any], tiles: Tiles) -> NDArray[Any]:
+    """Entries of the root tables of all grids, in order."""
+    kind = [("grid", np.int64), ("root", np.uint64), ("child", np.int64), ("state", np.uint32)]
+    entries = np.zeros(len(uppers) + len(tiles.grid), [*kind, ("value", tree.layout.background)])
+    entries["value"] = tree.background
+    entries["grid"] = np.concatenate([uppers["grid"], tiles.grid])
+    entries["root"] = np.concatenate([uppers["root"], root_keys_of(tiles.origins)])
+    entries["child"] = np.concatenate([np.arange(len(uppers)), np.full(len(tiles.grid), -1)])
+    entries["state"][len(uppers) :] = tiles.active
+    entries["value"][len(uppers) :] = tiles.values
+    return entries[np.lexsort((entries["root"], entries["grid"]))]
 
 
-def write_heads(
-    buffer: NDArray[np.uint8],
+def _heads(
     head: GridHead,
-    begins: tuple[int, int, int, int],
-    counts: tuple[int, int, int],
-    tree_end: int,
-) -> None:
-    grid, tree, layout = grid_header(buffer), tree_header(buffer), head.layout
+    begins: NDArray[np.int64],
+    numbers: NDArray[np.int64],
+    tree_ends: NDArray[np.int64],
+    sizes: NDArray[np.int64],
+    items: Items,
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Headers of all grids and of their trees."""
+    template, layout = aligned_buffer(HEAD_SIZE, zeroed=True), head.layout
     if head.header is None:
-        write_header(buffer, layout, head.options, len(buffer), begins, counts)
+        write_header(template, layout, head.options, 0, 4 * (TREE_OFFSET,), (0, 0, 0))
     else:
-        buffer[:TREE_OFFSET] = head.header
-        tree["node_offset"] = [begin - TREE_OFFSET for begin in begins]
-        tree["node_count"] = counts
-    grid["grid_type"] = GRID_TYPES.index(layout.name)
-    grid["flags"] = (
+        template[:TREE_OFFSET] = head.header
+    grids = np.repeat(template[:TREE_OFFSET].view(GRID_DATA), len(sizes))
+    trees = np.zeros(len(sizes), TREE_DATA)
+    trees["node_offset"], trees["node_count"] = begins - TREE_OFFSET, numbers
+    grids["grid_type"] = GRID_TYPES.index(layout.name)
+    grids["flags"] = (
         FLAG_BREADTH_FIRST
         | (FLAG_HAS_MIN_MAX if layout.leaf_bits > 1 else 0)
         | (FLAG_LONG_NAME if head.has_long_name else 0)
     )
-    grid["grid_index"], grid["grid_count"], grid["grid_size"] = 0, 1, len(buffer)
-    grid["blind_offset"], grid["blind_count"] = tree_end, int(head.has_long_name)
+    grids["grid_index"], grids["grid_count"], grids["grid_size"] = 0, 1, sizes
+    grids["blind_offset"], grids["blind_count"] = tree_ends, int(head.has_long_name)
+    root_spans(grids, items.boxes)
+    return grids, trees
 
 
-def name_block(head: GridHead) -> NDArray[np.uint8]:
+def _roots(tree: TypedTree, items: Items, entry_counts: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """The roots of all grids without their tables."""
+    layout, kind = tree.layout, tree.layout.background
+    roots = np.zeros((len(entry_counts), layout.root_size), np.uint8)
+    roots[:, :24] = items.boxes.reshape(-1, 6).view(np.uint8)
+    roots[:, 24:28] = entry_counts.astype("<u4")[:, None].view(np.uint8)
+    limits = np.empty((len(roots), 3, *kind.shape), kind.base)
+    limits[:] = tree.background
+    if layout.leaf_bits <= 1:
+        limits[:, 1:] = False
+    some = items.some()
+    limits[some, 1], limits[some, 2] = items.low[some], items.high[some]
+    at = layout.root_background
+    roots[:, at : at + 3 * kind.itemsize] = limits.reshape(len(roots), -1).view(np.uint8)
+    return roots
+
+
+def _name_block(head: GridHead) -> NDArray[np.uint8]:
     """A name too long for the header as a block of blind data; blind data of other programs is not kept."""
     if not head.has_long_name:
         return np.empty(0, np.uint8)

@@ -36,8 +36,8 @@ def described(request, monkeypatch):
     """With and without the private class of descriptors."""
     if not request.param:
         monkeypatch.setattr(warp_private, "descriptor_type", lambda: None)
-        monkeypatch.setattr(warp_private, "is_packed", lambda kernel: False)
-        monkeypatch.setattr("geokit.core.launches.launch_cache._idle", {})
+        monkeypatch.setattr(warp_private, "is_packed", lambda device: False)
+        monkeypatch.setattr("geokit.core.launches.prepared._launches", {})
     return request.param
 
 

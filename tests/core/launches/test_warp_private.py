@@ -19,7 +19,7 @@ import warp as wp
 
 import geokit as gk
 from benchmarks.catalog import mesh_catalog
-from geokit.core.launches import launch_cache, warp_private
+from geokit.core.launches import prepared, warp_private
 
 ROOT = Path(__file__).resolve().parents[3] / "geokit"
 # Attributes of warp's objects that are not in its documentation.
@@ -38,7 +38,7 @@ def test_the_installed_warp_has_every_part():
 def test_warp_calls_kernels_as_direct_calls_do():
     invoke = inspect.getattr_static(inspect.getmodule(wp.Launch), "invoke")
     calls = {ast.unparse(node) for node in ast.walk(ast.parse(textwrap.dedent(inspect.getsource(invoke))))}
-    assert CALL in calls, f"warp {wp.__version__} calls CPU kernels in another way: see warp_private.direct_call"
+    assert CALL in calls, f"warp {wp.__version__} calls CPU kernels in another way: see warp_private.PackedLaunch"
 
 
 def test_private_parts_are_used_in_one_module():
@@ -69,7 +69,7 @@ def test_without_a_part_the_answers_are_the_same(part, monkeypatch):
     expected = answers()
     lacking = frozenset(["descriptor", "launch", "module", "direct", "tape"] if part == "all" else [part])
     monkeypatch.setattr(warp_private, "_missing", lambda: lacking)
-    monkeypatch.setattr(launch_cache, "_idle", {})
+    monkeypatch.setattr(prepared, "_launches", {})
     warp_private.descriptor_type.cache_clear()
     try:
         for one, other in zip(answers(), expected, strict=True):

@@ -47,3 +47,13 @@ def test_what_an_array_had_is_free_again() -> None:
     del array  # kept by the allocator: the driver does not count it as free
     wp.synchronize_device(device)
     assert available_memory.available(device) == pytest.approx(before, abs=size // 10)
+
+
+def test_what_does_not_fit_is_refused_with_what_would(monkeypatch):
+    monkeypatch.setattr(available_memory, "available_host", lambda: 1 << 20)
+    available_memory.require_room(1 << 20, "it needs", "use less")
+    with pytest.raises(gk.DeviceMemoryError, match=r"^it needs about 4 MiB, of 1 MiB free; use a quarter$") as refused:
+        available_memory.require_room(4 << 20, "it needs", lambda times: "use a quarter" if times == 4.0 else "")
+    assert refused.value.need == 4 << 20
+    with pytest.raises(gk.DeviceMemoryError, match="of 1 MiB free on cpu; use less"):
+        available_memory.require_room((1 << 20) + 1, "it needs", "use less", wp.get_device("cpu"))

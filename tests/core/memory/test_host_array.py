@@ -10,7 +10,7 @@ import geokit as gk
 from benchmarks.catalog import mesh_catalog
 from geokit.core import launcher
 from geokit.core.interop import user_arrays
-from geokit.core.launches.launch_cache import launch_argument
+from geokit.core.launches.warp_private import launch_argument
 from geokit.core.memory.host_array import HostArray
 from geokit.mesh.sign.parity_kernels import confidence_kernel
 

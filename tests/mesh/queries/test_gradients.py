@@ -8,7 +8,7 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from geokit import InputError, mesh  # noqa: E402
-from geokit.core.launches import replay  # noqa: E402
+from geokit.core.launches import prepared  # noqa: E402
 from tests.support.gradient_checks import check, tensor  # noqa: E402
 
 FACES = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]
@@ -265,7 +265,7 @@ def test_batches_of_slopes(tetrahedron, points):
 def test_small_calls_on_a_cpu_are_replayed(tetrahedron, points):
     asked = points.clone().requires_grad_()
     answers = [tetrahedron.closest_point(asked) for _ in range(4)]
-    assert any(kept for kept in tetrahedron._cache.find(replay.KEPT, dict).values())
+    assert any(kept for kept in tetrahedron._cache.find(prepared.KEPT, dict).values())
     for answer in answers[1:]:
         for part, first in zip(answer, answers[0], strict=True):
             assert torch.equal(part, first)

@@ -11,7 +11,7 @@ import warp as wp
 import geokit as gk
 from benchmarks.catalog import mesh_catalog
 from geokit import errors
-from geokit.mesh.queries.overlaps import _require_room
+from geokit.core.memory import available_memory
 from tests.support import reference
 
 
@@ -112,9 +112,11 @@ class TestOverlapping:
         s.update(np.add(RIGHT_ANGLE[0], [5.0, 0.0, 0.0]))
         assert lists(s.overlapping([[0, 0, 0], [5, 0, 0]], [[1, 1, 1], [6, 1, 1]])) == [[], [0]]
 
-    def test_too_many_say_how_many(self):
-        with pytest.raises(errors.DeviceMemoryError, match=r"1000000000000000 overlaps need .* ask for fewer"):
-            _require_room(10**15, 28, "overlaps", surface(*RIGHT_ANGLE)._device)
+    def test_too_many_say_how_many(self, monkeypatch):
+        asked = surface(*RIGHT_ANGLE)
+        monkeypatch.setattr(available_memory, "available", lambda device: 27)
+        with pytest.raises(errors.DeviceMemoryError, match=r"1 overlaps need .* ask for fewer"):
+            asked.overlapping([[0, 0, 0]], [[1, 1, 1]])
 
 
 class TestIntersectingTriangles:

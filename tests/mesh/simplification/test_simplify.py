@@ -16,8 +16,8 @@ from geokit.mesh._simplify import Simplified, simplify
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.simplification import collapse
 from geokit.mesh.simplification.collapse import collapsed
-from geokit.mesh.simplification.deviation import far_faces
 from geokit.mesh.simplification.invariants import shape_of, turned_faces
+from geokit.mesh.simplification.proof import far_faces
 from geokit.mesh.surfaces.surface import Surface
 from tests.support.reference import closest_point
 

@@ -107,20 +107,61 @@ def test_equals_scipy(seed, k):
 
 @pytest.mark.slow
 @relaxed
-@given(clouds(), st.sampled_from(LENGTHS), st.booleans())
-def test_the_search_for_gpus_gives_the_same_bits(cloud, k, exclude_self):
-    points, queries, _ = cloud
-    wide = ask(points, k, exclude_self=exclude_self), ask(points, k, queries)
+@given(clouds(), st.sampled_from(LENGTHS), st.booleans(), st.sampled_from([1, 40, 8192]))
+def test_the_search_for_gpus_gives_the_same_bits(cloud, k, exclude_self, least_teams):
+    points, queries, random = cloud
+    limits = np.exp(random.normal(size=len(queries)) * 3.0)
+    cuts = np.sort(random.integers(0, len(points) + 1, 3))
+    groups = np.concatenate([[0], cuts, [len(points)]])
+
+    def answers():
+        yield ask(points, k, exclude_self=exclude_self)
+        yield ask(points, k, limit_squared=float(limits[0]))
+        yield ask(points, k, queries)
+        yield ask(points, k, queries, limit_squared=limits)
+        rows = wp.array(points, dtype=wp.vec3d, device="cpu")
+        tree = build_tree(rows, groups)
+        for asked in (None, rows):
+            found = nearest(tree, k, asked, groups=(groups, groups), exclude_self=exclude_self)
+            yield found[0].numpy(), found[1].numpy()
+
+    class Gpu:
+        is_cpu = False
+
+    wide, chosen = list(answers()), _nearest._search_kernel
+    with (
+        mock.patch.object(_nearest, "_search_kernel", lambda k, count, _: chosen(k, count, Gpu)),
+        mock.patch.object(_nearest, "LEAST_TEAMS", least_teams),
+    ):
+        assert _nearest._search_kernel(k, 1, None)[0].module.name == nearest_cuda_kernels.__name__
+        narrow = list(answers())
+    for a, b in zip(wide, narrow, strict=True):
+        assert_equal(a, b)
+
+
+@pytest.mark.parametrize("k", [9, 32, 100, 128, 129, 1024])
+def test_teams_find_the_nearest_of_many(k):
+    """Runs of sixteen queries, crowds, ties and lists for which there is no room at once."""
+    random = np.random.default_rng(k)
+    crowd = random.random((3000, 3))
+    crowd[:1500] = 0.4 + 0.01 * crowd[:1500]
+    clouds = [crowd, np.full((2500, 3), 0.5), random.integers(0, 12, (3000, 3)).astype(float)]
 
     class Gpu:
         is_cpu = False
 
     chosen = _nearest._search_kernel
-    with mock.patch.object(_nearest, "_search_kernel", lambda k, count, _: chosen(k, count, Gpu)):
-        assert _nearest._search_kernel(k, 1, None)[0].module.name == nearest_cuda_kernels.__name__
-        narrow = ask(points, k, exclude_self=exclude_self), ask(points, k, queries)
-    for a, b in zip(wide, narrow, strict=True):
-        assert_equal(a, b)
+    for points in clouds:
+        queries = np.concatenate([points[::7], points[::14], random.normal(size=(200, 3)) * 5.0])
+        limits = np.exp(random.normal(size=len(queries)) * 3.0)  # of queries at one place too
+        wide = ask(points, k), ask(points, k, queries), ask(points, k, queries, limit_squared=limits)
+        with (
+            mock.patch.object(_nearest, "_search_kernel", lambda k, count, _: chosen(k, count, Gpu)),
+            mock.patch.object(_nearest, "LEAST_TEAMS", 1),
+        ):
+            assert_equal(ask(points, k), wide[0])
+            assert_equal(ask(points, k, queries), wide[1])
+            assert_equal(ask(points, k, queries, limit_squared=limits), wide[2])
 
 
 @pytest.mark.slow

@@ -495,7 +495,7 @@ def test_too_many_cells_are_refused(monkeypatch):
         ({"tolerance": -1.0}, "tolerance"),
         ({"tolerance": np.nan}, "tolerance"),
         ({"tolerance": "much"}, "tolerance"),
-        ({"within": -0.1}, "within: -0.1 is negative"),
+        ({"within": -0.1}, "within: -0.1 is not usable; give a finite number, 0 or more"),
         ({"within": np.inf}, "within"),
         ({"max_levels": 0}, "max_levels: 0"),
         ({"max_levels": True}, "max_levels: True"),

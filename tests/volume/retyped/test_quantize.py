@@ -298,7 +298,7 @@ def test_nanovdb_validate_accepts_every_codec(tmp_path, file_codec, codec):
         ({"codec": "fpn"}, "tolerance: codec 'fpn' needs one"),
         ({"codec": "fp3"}, "codec: 'fp3' is not known"),
         ({"codec": "half"}, "codec: 'half' is not known"),
-        ({"tolerance": -1.0}, "tolerance: -1.0 is negative"),
+        ({"tolerance": -1.0}, "tolerance: -1.0 is not usable; give a finite number, 0 or more"),
         ({"tolerance": np.nan}, "tolerance"),
         ({"tolerance": "x"}, "tolerance"),
         ({"codec": "fp4", "tolerance": 0.1}, "tolerance: fp4 reaches 0.2"),

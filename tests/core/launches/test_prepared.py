@@ -16,7 +16,7 @@ import pytest
 import geokit as gk
 from benchmarks.catalog import mesh_catalog
 from geokit.core.base.object_cache import CacheAttribute
-from geokit.core.launches import replay
+from geokit.core.launches import prepared
 from geokit.core.query import ask
 from geokit.errors import InputError
 from tests.support.devices import DEVICES
@@ -31,14 +31,14 @@ def surface():
 def replays(monkeypatch):
     """Counts the replays that answer."""
     made = []
-    run = replay.Recording.replay
+    run = prepared.Recording.replay
 
     def counted(self, given):
         answer = run(self, given)
         made.append(answer is not None)
         return answer
 
-    monkeypatch.setattr(replay.Recording, "replay", counted)
+    monkeypatch.setattr(prepared.Recording, "replay", counted)
     return made
 
 
@@ -47,7 +47,7 @@ def point(*xyz):
 
 
 def kept(asked):
-    return asked._cache.find(replay.KEPT, dict)
+    return asked._cache.find(prepared.KEPT, dict)
 
 
 def test_the_third_call_is_a_replay(surface, replays):
@@ -206,9 +206,9 @@ def test_recordings_end_with_their_object():
 
 
 def test_calls_that_always_differ_keep_little(surface):
-    for k in range(5 * replay.MOST_KEPT):
+    for k in range(5 * prepared.MOST_KEPT):
         surface.closest_point(point(0, 0, 3), max_distance=1.0 + k)
-    assert len(kept(surface)) <= replay.MOST_KEPT
+    assert len(kept(surface)) <= prepared.MOST_KEPT
 
 
 def test_what_is_built_for_later_calls_is_not_part_of_a_replay():
@@ -245,21 +245,21 @@ def test_threads_have_recordings_of_their_own(surface):
 @pytest.mark.parametrize("refused", [False, True])
 def test_a_recorded_call_has_its_own_answer_whatever_another_thread_asks_meanwhile(surface, monkeypatch, refused):
     surface.closest_point(point(0, 0, 3))
-    answer = replay.Recording.answer
+    answer = prepared.Recording.answer
 
     def work():
         if refused:
-            monkeypatch.setattr(replay.Recorder, "finished", lambda *_: None)
+            monkeypatch.setattr(prepared.Recording, "finish", lambda *_: False)
         surface.closest_point(point(0, 0, 9))
 
     def late(recording):
-        monkeypatch.setattr(replay.Recording, "answer", answer)
+        monkeypatch.setattr(prepared.Recording, "answer", answer)
         other = threading.Thread(target=work)
         other.start()
         other.join()
         return answer(recording)
 
-    monkeypatch.setattr(replay.Recording, "answer", late)
+    monkeypatch.setattr(prepared.Recording, "answer", late)
     assert np.isclose(surface.closest_point(point(0, 0, 3)).distance[0], 2.0)
 
 
@@ -303,7 +303,7 @@ def test_a_query_that_depends_on_its_rows_between_launches_is_not_replayed(repla
 
     @ask.query("rows", is_replayed=True)
     def total(asked, rows):
-        replay.refuse()
+        prepared.refuse()
         return rows.sum(axis=1)
 
     asked = Asked()

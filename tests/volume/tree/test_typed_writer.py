@@ -1,4 +1,4 @@
-"""Many grids written at once have the bytes that each gets alone, for every value type."""
+"""Many grids written at once have the bytes that each gets alone, for every value type; nodes that hold no tile."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from geokit.volume.nanovdb.checks import check_grid
+from geokit.volume.nanovdb.header import tree_header
+from geokit.volume.nanovdb.layout import LAYOUTS
 from geokit.volume.tree.grid_head import head_like
-from geokit.volume.tree.typed_batch import Tiles, build_grids
-from geokit.volume.tree.typed_tree import VALUE_TYPES, tree_of
-from geokit.volume.tree.typed_writer import build_grid
+from geokit.volume.tree.typed_tree import VALUE_TYPES, Nodes, RootTiles, tree_of, tree_of_leaves
+from geokit.volume.tree.typed_writer import Tiles, build_grid, build_grids, rebuilt
 from tests.support.random_grids import random_grid
 
 
@@ -39,11 +40,10 @@ def test_the_bytes_are_those_of_single_grids(grid_type):
     root = Tiles(np.array([1]), np.array([[4096, 0, -4096]], np.int32), value[None], np.array([True]))
     large = Tiles(np.array([2]), np.array([[-256, 128, 1024]], np.int32), value[None], np.array([False]))
     small = Tiles(*map(np.concatenate, zip(*(tiles_of(t.lower, 16, 8, i) for i, t in enumerate(trees)), strict=True)))
-    names = ("origins", "masks", "values")
-    whole = replace(trees[0], **{name: np.concatenate([getattr(t, name) for t in trees]) for name in names})
     grid_of = np.repeat(np.arange(3), [len(t.origins) for t in trees])
     shuffled = np.random.default_rng(0).permutation(len(grid_of))
-    whole = replace(whole, **{name: getattr(whole, name)[shuffled] for name in names})
+    leaves = (np.concatenate([getattr(t, name) for t in trees])[shuffled] for name in ("origins", "masks", "values"))
+    whole = tree_of_leaves(trees[0].layout, background, *leaves)
     head = head_like(volume, trees[0].layout, background)
     found = list(build_grids(whole, grid_of[shuffled], (small, large, root), 3, head))
 
@@ -60,3 +60,36 @@ def test_the_bytes_are_those_of_single_grids(grid_type):
     for buffer, tree in zip(found, trees, strict=True):
         np.testing.assert_array_equal(buffer, build_grid(tree, head))
         check_grid(buffer, "grid")
+
+
+@pytest.mark.parametrize("active", [False, True])
+def test_a_leaf_in_a_tile_of_the_root_keeps_the_tile_around_it(active):
+    like = random_grid("float", 1).volume
+    leaf = np.array([[-8, 16, 200]], np.int32)
+    tree = tree_of_leaves(
+        LAYOUTS["float"], np.float32(1), leaf, np.full((1, 64), 255, np.uint8), np.full((1, 512), 5.0, np.float32)
+    )
+    corner = np.array([[-4096, 0, 0]], np.int32)
+    tree = replace(tree, root=RootTiles(corner, np.array([-3.0], np.float32), np.array([active])))
+    volume = rebuilt(tree, like)
+    check_grid(volume.nanovdb, "grid")
+    assert volume.info.active_voxel_count == (4096**3 if active else 512)
+    made = tree_of(volume)
+    np.testing.assert_array_equal(made.origins, leaf)
+    assert not len(made.root.origins)
+    # Beside the leaf, in another lower node, at the far corner; then outside of the tile.
+    places = np.array([[-16, 16, 200], [-8, 16, 256], [-4096, 4088, 4088], [0, 16, 200]], np.int32)
+    values, states = made.tiles_at(places)
+    np.testing.assert_array_equal(values, [-3.0, -3.0, -3.0, 1.0])
+    np.testing.assert_array_equal(states, [active, active, active, False])
+
+
+def test_a_node_of_background_alone_is_kept():
+    like = random_grid("float", 1).volume
+    none = np.empty((0, 3), np.int32), np.empty((0, 64), np.uint8), np.empty((0, 512), np.float32)
+    tree = tree_of_leaves(LAYOUTS["float"], np.float32(1), *none)
+    origins, values = np.array([[128, -128, 0]], np.int32), np.full((1, 4096), 1.0, np.float32)
+    volume = rebuilt(replace(tree, lower=Nodes(origins, values, np.zeros((1, 4096), bool))), like)
+    check_grid(volume.nanovdb, "grid")
+    assert tree_header(volume.nanovdb)["node_count"].tolist() == [0, 1, 1]
+    assert volume.info.active_voxel_count == 0

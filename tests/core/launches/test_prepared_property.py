@@ -11,7 +11,7 @@ import pytest
 import geokit as gk
 from benchmarks.catalog import mesh_catalog
 from geokit.core.base.query import QUERIES
-from geokit.core.launches import replay
+from geokit.core.launches import prepared
 
 
 def surface(make=mesh_catalog.torus):
@@ -98,7 +98,7 @@ def test_replays_answer_as_the_query(case, monkeypatch):
     first, query, all_options, arguments = CASES[name]
     asked, reference, rng = (make or first)(), (make or first)(), np.random.default_rng(11)
     made = itertools.count()
-    run = replay.Recording.replay
+    run = prepared.Recording.replay
 
     def counted(self, given):
         answer = run(self, given)
@@ -106,7 +106,7 @@ def test_replays_answer_as_the_query(case, monkeypatch):
             next(made)
         return answer
 
-    monkeypatch.setattr(replay.Recording, "replay", counted)
+    monkeypatch.setattr(prepared.Recording, "replay", counted)
     calls = 0
     for options in all_options:
         for count, dtype in ((1, np.float64), (1, np.float32), (3, np.float64), (2, np.int64), (1, np.dtype(">f8"))):

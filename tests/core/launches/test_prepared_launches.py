@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import threading
 import weakref
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,7 +14,7 @@ import pytest
 import warp as wp
 
 from geokit.core import launcher
-from geokit.core.launches import launch_cache
+from geokit.core.launches import warp_private
 from geokit.core.memory.host_array import HostArray
 from tests.support.devices import DEVICES
 
@@ -131,6 +133,21 @@ def test_what_does_not_fit_is_refused_at_every_launch(wrong):
             launcher.launch(mixed_kernel, 4, *bad, device)
 
 
+def test_a_gpu_is_given_the_address_of_each_argument():
+    """Those that warp itself packs, byte by byte: of the bounds, then of each argument."""
+    device = wp.get_device("cpu")
+    given = [0, *arguments("cpu", 5, 0)[0], wp.zeros(5, dtype=wp.float64, device=device)]
+    expected = warp_private.record_launch(mixed_kernel, 5, given, device, 1).params
+    packed = warp_private.PackedLaunch(warp_private.record_launch(mixed_kernel, 3, given, device, 1))
+    packed._command.device = SimpleNamespace(is_cpu=False)
+    launch = packed.bound(5, given).__self__
+    assert launch.bounds.size == 5
+    for address, argument in zip(launch.params_addr, expected, strict=True):
+        size = ctypes.sizeof(argument)
+        assert ctypes.string_at(address, size) == ctypes.string_at(ctypes.addressof(argument), size)
+        assert address % ctypes.alignment(type(argument)) == 0
+
+
 @pytest.mark.slow
 def test_no_array_is_kept_alive():
     device = wp.get_device("cpu")
@@ -163,4 +180,3 @@ def test_threads_have_launches_of_their_own():
     for thread in threads:
         thread.join()
     assert not wrong
-    assert 1 <= len(launch_cache._idle[(mixed_kernel, "cpu")]) <= 8

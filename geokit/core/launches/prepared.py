@@ -1,13 +1,14 @@
-"""Replays of small queries on a CPU: the launches of a query are recorded once and repeated for other rows.
+"""What a call has prepared: the launch of each kernel, and all launches of a small query on a CPU.
+
+``warp.launch`` inspects the kernel, its module and every argument anew: 25 us for three arguments on an H100's host,
+longer than most small kernels run. So a kernel is inspected at its first launch on a device; later ones only write
+their arguments.
 
 A query of one point takes 50 to 400 us from its arguments to its answer, and its kernels one or two of them: the rest
 is reading arguments, making arrays and launching. Between two calls for the same number of rows with the same options
-nothing of that changes but the rows. So the second such call is recorded: the rows' arrays, the launches with their
-arguments, and the arrays of the answer. Later calls copy their rows to where the recorded launches read them, make the
-launches, and copy the answer.
-
-Tensors of torch on the host share their memory with arrays of NumPy, and so does the answer: such calls are replayed
-too.
+nothing of that changes but the rows. So the second such call on a CPU is recorded: the rows' arrays, the launches, and
+the arrays of the answer. Later calls copy their rows to where the launches read them, make these, and copy the answer.
+Tensors of torch on the host share their memory with arrays of NumPy, and so does their answer.
 
 Nothing is checked less: recorded kernels raise the same flags, rows that kernels do not check are checked here, and
 whatever is unusual (a raised flag, another type, an option of a type of its own) goes the general way, which names it.
@@ -23,16 +24,18 @@ import math
 import sys
 import threading
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from geokit.core.base.object_cache import ObjectCache
 from geokit.core.base.query import Query
 from geokit.core.launches import warp_private
-from geokit.core.launches.launch_cache import launch_argument
 
-__all__ = ["Recorder", "answer", "current", "refuse"]
+if TYPE_CHECKING:
+    import warp as wp
+
+__all__ = ["Recording", "answer", "bound", "current", "refuse"]
 
 # Above this number of rows kernels take longer than what a replay saves.
 MOST_ROWS = 256
@@ -48,9 +51,35 @@ PLAIN = frozenset((bool, int, float, str, type(None), np.float64, np.int64))
 # Marks calls that cannot be recorded.
 NEVER = ()
 
+# A launch of each kernel on each device, of which others are made.
+_launches: dict[tuple[Any, str], warp_private.PackedLaunch] = {}
+
+
+def bound(kernel: Any, count: int, arguments: Sequence[Any], device: "wp.Device", block_dim: int) -> Callable[[], Any]:
+    """A function that launches ``kernel`` for ``count`` items, any number of times, as ``warp.launch`` does.
+
+    Args:
+        kernel: A kernel whose module is loaded. ``warp.launch`` chooses the overload of a generic one each time.
+        count: Number of items, above 0.
+        arguments: The kernel's arguments, warp arrays or KernelArrays among them, which it does not keep alive.
+        device: The device to run on.
+        block_dim: Threads of a block; must be the same for each launch of a kernel on a device.
+    """
+    known = _launches.get((kernel, device.alias))
+    if known is None:
+        given = [warp_private.launch_argument(argument) for argument in arguments]
+        command = warp_private.record_launch(kernel, count, given, device, block_dim)
+        if not warp_private.is_packed(device):
+            launch: Callable[[], Any] = command.launch
+            return launch
+        # That of a generic kernel is of its overload.
+        key = command.kernel, device.alias
+        known = _launches.get(key) or _launches.setdefault(key, warp_private.PackedLaunch(command))
+    return known.bound(count, arguments)
+
 
 class _Thread(threading.local):
-    recorder: Recorder | None = None
+    recording: Recording | None = None
 
 
 _thread = _Thread()
@@ -78,34 +107,43 @@ def answer(query: Query, search: Callable[..., Any], given: tuple[Any, ...], opt
 
 def _of_arrays(query: Query, search: Callable[..., Any], given: tuple[Any, ...], options: dict[str, Any]) -> Any:
     key = _key_of(query, given, options)
-    if key is None or _thread.recorder is not None:
+    if key is None or _thread.recording is not None:
         return search(query, given, options)
     cache = getattr(given[0], "_cache", None)
     if type(cache) is not ObjectCache:  # what was given is not what is queried, which the query will refuse
         return search(query, given, options)
     kept: dict[Any, Any] = cache.find(KEPT, dict)
     idle = kept.get(key)
-    if idle:
+    if idle is None or idle is NEVER:
+        answer = search(query, given, options)
+        if idle is None:  # what is built at the first call is not part of the others
+            if len(kept) >= MOST_KEPT:
+                kept.clear()
+            kept.setdefault(key, [])
+        return answer
+    try:
+        recording = idle.pop()  # one thread at a time
+    except IndexError:
+        recording = None
+    if recording is None:
+        recording = _thread.recording = Recording(given[1 : len(query.rows) + 1])
         try:
-            recording = idle.pop()  # one thread at a time
-        except IndexError:
-            return search(query, given, options)
+            answer = search(query, given, options)
+        finally:
+            _thread.recording = None
+        if not recording.finish(answer):
+            kept[key] = NEVER
+            return answer
+        answer = recording.answer()  # the arrays themselves are those of the next call
+        idle = kept.setdefault(key, [])
+    else:
         try:
             answer = recording.replay(given)
         except MemoryError:
             answer = None
-        idle.append(recording)
-        return search(query, given, options) if answer is None else answer
-    if idle is NEVER:
-        return search(query, given, options)
-    if idle is not None:
-        return _recorded(query, search, given, options, kept, key)
-    # What is built at the first call is not part of the others.
-    answer = search(query, given, options)
-    if len(kept) >= MOST_KEPT:
-        kept.clear()
-    kept.setdefault(key, [])
-    return answer
+    if idle is not NEVER:  # another thread's call could not be recorded
+        idle.append(recording)  # from here on its arrays may be those of another thread
+    return search(query, given, options) if answer is None else answer
 
 
 def _host_rows(torch: Any, given: Sequence[Any], rows: int) -> tuple[Any, ...] | None:
@@ -157,52 +195,31 @@ def _key_of(query: Query, given: Sequence[Any], options: dict[str, Any]) -> Any:
     return (key, tuple(options), values, kinds) if PLAIN.issuperset(kinds) else None
 
 
-def _recorded(query: Query, search: Any, given: Any, options: dict[str, Any], kept: dict[Any, Any], key: Any) -> Any:
-    recorder = _thread.recorder = Recorder(given[1 : len(query.rows) + 1])
-    try:
-        answer = search(query, given, options)
-    finally:
-        _thread.recorder = None
-    recording = recorder.finished(answer)
-    if recording is None:
-        kept[key] = NEVER
-        return answer
-    answer = recording.answer()  # the arrays themselves are those of the next call
-    idle = kept.setdefault(key, [])
-    if idle is not NEVER:  # another thread's call could not be recorded
-        idle.append(recording)  # from here on its arrays may be those of another thread
-    return answer
-
-
-def current() -> Recorder | None:
-    """The recorder of the query that this thread is recording."""
-    return _thread.recorder
+def current() -> Recording | None:
+    """What this thread is recording."""
+    return _thread.recording
 
 
 def refuse() -> None:
     """Do not record the present call: what it does depends on its rows, or is kept for later calls."""
-    if _thread.recorder is not None:
-        _thread.recorder.usable = False
+    if _thread.recording is not None:
+        _thread.recording.usable = False
 
 
-class _Result(NamedTuple):
-    """An array of the answer: where the kernels leave it, and how it is converted to what the caller gets."""
-
-    memory: np.ndarray
-    convert: Callable[[np.ndarray], np.ndarray]
-
-
-class Recorder:
-    """Notes what a query does."""
+class Recording:
+    """What a query does, noted while it does it, to be done again for other rows. One thread uses it at a time."""
 
     def __init__(self, arguments: Sequence[np.ndarray]) -> None:
         self.usable = True
         self._arguments = list(arguments)
-        self._rows: list[np.ndarray | None] = [None] * len(arguments)
+        self._rows: list[Any] = [None] * len(arguments)
         self._checked: list[tuple[np.ndarray, float]] = []
         self._calls: list[Callable[[], Any]] = []
-        self._flags: list[np.ndarray] = []
-        self._results: dict[int, tuple[Any, _Result]] = {}
+        self._flags: list[Any] = []
+        # Of each array that was computed: itself, the memory that kernels write, and how it follows from that.
+        self._noted: dict[int, tuple[Any, np.ndarray, Callable[[np.ndarray], Any]]] = {}
+        self._results: list[tuple[np.ndarray, Callable[[np.ndarray], Any]]] = []
+        self._kind: Any = None
         self._empty: dict[int, Any] = {}  # arrays that kernels write to before they read them
         self._restored: list[tuple[np.ndarray, np.ndarray]] = []
         self._seen: set[int] = set()
@@ -245,35 +262,19 @@ class Recorder:
         if not any(values is flags for flags in self._flags):
             self.usable = False
 
-    def derived(self, values: np.ndarray, memory: np.ndarray, convert: Callable[[np.ndarray], np.ndarray]) -> None:
-        """Note that ``values`` is ``convert(memory)``."""
-        self._results[id(values)] = values, _Result(memory, convert)
+    def derived(self, values: Any, memory: np.ndarray, convert: Callable[[np.ndarray], Any]) -> None:
+        """Note that ``values`` is ``convert(memory)``, which may be derived itself."""
+        _, source, before = self._noted.get(id(memory), (None, memory, None))
+        if before is None:
+            self._noted[id(values)] = values, source, convert
+        elif values is not memory:
+            self._noted[id(values)] = values, source, lambda results: convert(before(results))
 
-    def result(self, values: np.ndarray, memory: np.ndarray, *, is_float32: bool) -> None:
-        """Note an array of the answer, which is ``memory`` cast to float32 or as it is."""
-        if id(memory) in self._results:  # cast or not, it is computed from other memory
-            self._results[id(values)] = values, self._results[id(memory)][1]
-        else:
-            self._results[id(values)] = values, _Result(memory, _as_float32 if is_float32 else np.ndarray.copy)
-
-    def shaped(self, values: np.ndarray, lead: tuple[int, ...]) -> Any:
-        """An array of the answer with other leading axes, noted as such; its first entry for ()."""
-
-        def shape(results: np.ndarray) -> Any:
-            return results.reshape((*lead, *results.shape[1:])) if lead else results[0]
-
-        found = shape(values)
-        if (noted := self._results.get(id(values))) is not None:
-            memory, convert = noted[1]
-            self._results[id(found)] = found, _Result(memory, lambda results: shape(convert(results)))
-        return found
-
-    def launch(self, kernel: Any, count: int, arguments: list[Any], outputs: Sequence[Any], device: Any) -> None:
+    def launch(self, call: Callable[[], Any], arguments: list[Any], outputs: Sequence[Any], device: Any) -> None:
         """Note a launch of one slice that is about to be made.
 
         Args:
-            kernel: A warp kernel.
-            count: Its number of items.
+            call: Makes the launch.
             arguments: All its arguments.
             outputs: Those of them that it writes to.
             device: The CPU.
@@ -283,10 +284,8 @@ class Recorder:
         for output in outputs:
             if id(output) not in self._empty:
                 self._keep_contents(output)
-        packed = [launch_argument(argument) for argument in arguments]
-        command = warp_private.record_launch(kernel, count, packed, device)
-        self._calls.append(warp_private.direct_call(command))
-        self._alive.append((command, packed, arguments))
+        self._calls.append(call)
+        self._alive.append(arguments)
         self._device = device
 
     def _keep_contents(self, output: Any) -> None:
@@ -301,31 +300,20 @@ class Recorder:
             else:
                 self._restored.append((memory, memory.copy()))
 
-    def finished(self, answer: Any) -> Recording | None:
-        """The recording; None if the call cannot be replayed."""
-        arrays = answer if isinstance(answer, tuple) else (answer,)
-        if not self.usable or not self._calls or any(rows is None for rows in self._rows):
-            return None
+    def finish(self, answer: Any) -> bool:
+        """End the recording; returns whether the call can be replayed."""
+        parts = answer if isinstance(answer, tuple) else (answer,)
+        found = [self._noted.get(id(part)) for part in parts]
+        if not self.usable or not self._calls or any(entry is None for entry in (*self._rows, *found)):
+            return False
         if any(flags.any() for flags in self._flags):
-            return None
-        found = [self._results.get(id(array)) for array in arrays]
-        if any(entry is None for entry in found):
-            return None
-        kind = type(answer) if isinstance(answer, tuple) else None
-        return Recording(self, kind, [entry[1] for entry in found if entry is not None])
-
-
-class Recording:
-    """The launches of a query, made again for other rows. One thread uses it at a time."""
-
-    __slots__ = ("_alive", "_calls", "_checked", "_device", "_flags", "_kind", "_restored", "_results", "_rows")
-
-    def __init__(self, made: Recorder, kind: Any, results: list[_Result]) -> None:
-        self._rows = [rows for rows in made._rows if rows is not None]  # all, or it would not have been made
-        self._checked, self._calls = made._checked, made._calls
-        self._flags = [memoryview(flags.data) for flags in made._flags]  # faster to index than arrays
-        self._restored, self._alive = made._restored, (made._alive, made._flags)
-        self._kind, self._results, self._device = kind, results, made._device
+            return False
+        self._kind = type(answer) if isinstance(answer, tuple) else None
+        self._results = [entry[1:] for entry in found if entry is not None]
+        self._alive.append(self._flags)
+        self._flags = [memoryview(flags.data) for flags in self._flags]  # faster to index than arrays
+        self._arguments, self._noted, self._empty = [], {}, {}
+        return True
 
     def replay(self, given: Sequence[Any]) -> Any:
         """The answer to the query with other rows; None if the general way has to answer.
@@ -359,7 +347,3 @@ class Recording:
             memory, convert = self._results[0]
             return convert(memory)
         return tuple.__new__(self._kind, [convert(memory) for memory, convert in self._results])
-
-
-def _as_float32(values: np.ndarray) -> np.ndarray:
-    return values.astype(np.float32)
