@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.topology.connectivity import MeshTopology, Topology, connected_components, mesh_topology
 from geokit.mesh.topology.measures import measure_faces
+from geokit.mesh.topology.normals import unit
 from geokit.mesh.topology.orientation import FLAT_SHARE
 
 __all__ = ["Bodies", "closed_bodies"]
@@ -189,7 +190,7 @@ def _pair_by_angle(
         following[np.append(first[1:], len(edges)) - 1] = first
         if outermost and uneven:
             # The second of two begins in a row is inside of the first one's wedge, and so is the first of two ends.
-            inner = np.where(ends, ends[following], ends == ends[_before(following)]) & (
+            inner = np.where(ends, ends[following], ends == ends[np.argsort(following)]) & (
                 np.where(ends, excess[edges], -excess[edges]) > 0
             )
             inner &= following != np.arange(len(edges))
@@ -211,13 +212,6 @@ def _pair_by_angle(
     return uneven
 
 
-def _before(following: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The inverse of a permutation."""
-    before = np.empty_like(following)
-    before[following] = np.arange(len(following))
-    return before
-
-
 def _angles(
     vertices: NDArray[np.float64],
     faces: NDArray[np.int32],
@@ -229,10 +223,8 @@ def _angles(
     face, corner = np.divmod(half_edges, 3)
     start, end, apex = (vertices[faces[face, (corner + shift) % 3]] for shift in range(3))
     low = np.where(forward[:, None], start, end)
-    axis = np.where(forward[:, None], end - start, start - end)
     # At unit length, so that products neither overflow nor underflow.
-    axis /= np.abs(axis).max(axis=1, keepdims=True)
-    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    axis = unit(np.where(forward[:, None], end - start, start - end))
     side = apex - low
     side /= np.abs(side).max(axis=1, keepdims=True)
     side -= (side * axis).sum(axis=1, keepdims=True) * axis
