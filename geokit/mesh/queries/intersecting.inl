@@ -99,10 +99,10 @@ static constexpr auto find_pair = [](int item, const SurfaceTree& surface, const
 };
 
 // Sets out_found if triangles of two bodies may face each other within the margin. Bodies are those of `body`, -1 for
-// none, within one surface, else the two surfaces; `facing` is -1 where one of these is inside out.
+// none, within one surface, else the two surfaces; `sense` is -1 where one of these is inside out.
 static constexpr auto find_facing = [](int item, const SurfaceTree& surface, const SurfaceTree& tree,
                                        const wp::array_t<float>& slot_boxes, bool itself, const wp::array_t<int>& body,
-                                       double margin, double facing, wp::array_t<int>& out_found) {
+                                       double margin, double sense, wp::array_t<int>& out_found) {
     if (out_found.data[0]) return;
     visit_near(item, surface, tree, slot_boxes, itself, margin, [&](int slot, int other) {
         const int *b = body.data, one = itself ? b[surface.slot_triangle.data[slot]] : 0;
@@ -110,7 +110,7 @@ static constexpr auto find_facing = [](int item, const SurfaceTree& surface, con
         if (one < 0 || another < 0 || one == another) return;
         const point *t = surface.corners.data + 3 * slot, *u = tree.corners.data + 3 * other;
         const point n = wp::cross(t[1] - t[0], t[2] - t[0]), m = wp::cross(u[1] - u[0], u[2] - u[0]);
-        if (facing * wp::dot(n, m) > -FACING * wp::length(n) * wp::length(m)) return;
+        if (sense * wp::dot(n, m) > -FACING * wp::length(n) * wp::length(m)) return;
         // Whether a triangle lies on one side of a plane, farther away than the margin.
         auto beyond = [&](const point& on, const point& normal, const point* q) {
             const double a = wp::dot(normal, q[0] - on), b = wp::dot(normal, q[1] - on), c = wp::dot(normal, q[2] - on);

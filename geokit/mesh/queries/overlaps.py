@@ -153,12 +153,12 @@ class OverlapQueries:
 
         return self._any_leaf(find_pair_kernel, self._pair_inputs(self))
 
-    def _faces_up_to(
-        self, other: "OverlapQueries", within: float, facing: float = 1.0, body: NDArray[np.int32] | None = None
+    def _has_facing(
+        self, other: "OverlapQueries", within: float, sense: float = 1.0, body: NDArray[np.int32] | None = None
     ) -> bool:
         """Whether triangles of two bodies, both wound outward, may face each other, no farther apart than ``within``.
 
-        ``facing`` is -1 where one body is wound inward. Where ``other`` is this surface, ``body`` has the body of each
+        ``sense`` is -1 where one body is wound inward. Where ``other`` is this surface, ``body`` has the body of each
         face, -1 for none.
         """
         import warp as wp
@@ -166,7 +166,7 @@ class OverlapQueries:
         from geokit.mesh.queries.intersecting_kernels import find_facing_kernel
 
         label = wp.array(np.zeros(0, np.int32) if body is None else body, dtype=wp.int32, device=self._device)
-        inputs = [*self._pair_inputs(other)[:-1], label, wp.float64(within), wp.float64(facing)]
+        inputs = [*self._pair_inputs(other)[:-1], label, wp.float64(within), wp.float64(sense)]
         return self._any_leaf(find_facing_kernel, inputs)
 
     def _any_leaf(self, kernel: Any, inputs: list[Any]) -> bool:

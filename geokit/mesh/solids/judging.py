@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.mesh.attributes.derived import used_vertices
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.sign.inner_sheets import CONTACT, INNER_POINT
 from geokit.mesh.solids.pieces import Pieces
@@ -30,25 +29,21 @@ ROOM = 10.0
 
 
 def verdict_of(
-    vertices: NDArray[np.float64],
-    faces: NDArray[Any],
-    rows: NDArray[np.int64],
-    pieces: Pieces,
+    given: Pieces,
     inside: Callable[[NDArray[np.float64]], NDArray[np.bool_]],
     make_surface: Callable[[TriangleMesh], Any],
     size: float,
+    pieces: Pieces,
     inflation: float,
 ) -> str:
     """Nothing if pieces bound what is inside, "walls" if some have it on both sides, or "wrong".
 
     Args:
-        vertices: Positions of the bodies that were given [world] (V, 3).
-        faces: Their faces (F, 3).
-        rows: Numbers of these faces, as the pieces have them (F,).
-        pieces: What was made of them.
+        given: Faces of the bodies.
         inside: Whether points are inside of what was asked for.
         make_surface: Makes a surface of a mesh.
         size: Size of the bodies [world].
+        pieces: What was made of the bodies.
         inflation: How far bodies were moved [world].
     """
     off = CONTACT * size
@@ -62,14 +57,13 @@ def verdict_of(
     if area[~behind].sum() > most:
         return "wrong"
     # Nothing is missing: what is boundary of the bodies is there.
-    corners, given_area, normals, at = checkable(vertices, faces, off)
+    corners, given_area, normals, at = checkable(given.vertices, given.faces, off)
     middle = INNER_POINT @ corners
     missing = inside(middle + off * normals) != inside(middle - off * normals)
     # The pieces of these faces first: a tree of all pieces takes longer.
-    for some in (pieces.faces[np.isin(pieces.source, rows[at[missing]])], pieces.faces):
+    for some in (pieces.faces[np.isin(pieces.source, given.source[at[missing]])], pieces.faces):
         if len(some) and missing.any():
-            used, corners = used_vertices(some, len(pieces.vertices))
-            made = make_surface(TriangleMesh(pieces.vertices[used], corners))
+            made = make_surface(TriangleMesh(pieces.vertices, some))
             missing[missing] = made.closest_point(middle[missing]).distance > ROOM * off
     if given_area[missing].sum() > WRONG_SHARE * given_area.sum():
         return "wrong"
@@ -103,8 +97,9 @@ def self_overlap(mesh: TriangleMesh, judge: Any, off: float, rows: NDArray[np.in
 def checkable(
     vertices: NDArray[np.float64], faces: NDArray[Any], off: float, most: int = CHECKED_FACES
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
-    """Corners of at most so many faces whose middles are far from their edges, in units of ``off``; areas, normals, and
-    rows."""
+    """Of at most so many faces those whose middles are far from their edges, in units of ``off``: corners, areas,
+    normals, rows.
+    """
     rows = np.arange(len(faces))
     if len(faces) > most:
         # In order: faces that are near each other are asked one after another.
