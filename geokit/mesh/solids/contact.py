@@ -39,7 +39,8 @@ def within_contact(
         positions: Vertices of all bodies, of which no two share one [world] (V, 3).
         corners: Corners of the faces of those bodies that may move (F, 3).
         size: Size of all bodies [world].
-        near: Whether faces of two bodies may face each other so far apart [world]; if not, there is nothing to join.
+        near: Whether faces of two bodies may face each other so far apart [world]. If not, there is most likely nothing
+            to join; the verdict decides.
         sign: 1 where they grow, -1 where they shrink.
     """
 
