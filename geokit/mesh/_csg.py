@@ -163,10 +163,10 @@ def _combined(verb: Verb, meshes: list[TriangleMesh], world: dict[str, Any]) -> 
     if not first.face_count:
         return nothing
     names = ["mesh", *(f"others[{number}]" for number in range(len(meshes) - 1))]
-    operands = [read_operand(Surface(meshes[number], device="cpu"), names[number]) for number in asked]
+    operands = [read_operand(Surface(meshes[at], device="cpu"), names[at], begins[at]) for at in asked]
     if len(operands) == 1:
-        return operands[0].mesh
-    pieces = made_of(operands, [begins[number] for number in asked], verb)
+        return operands[0].surface.mesh
+    pieces = made_of(operands, verb)
     order = np.argsort(pieces.source, kind="stable")
     plain = with_data(joined, vertex_data={}, corner_data={})
     return derived(plain, pieces.vertices, pieces.faces[order], face_source=pieces.source[order])

@@ -14,7 +14,7 @@ from geokit.core.interop.user_arrays import require_finite_scalar
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_flag
 from geokit.errors import InputError
-from geokit.mesh.attributes.derived import derived, moved_to_corners
+from geokit.mesh.attributes.derived import derived, moved_to_corners, used_vertices
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.surfaces.objects import require_mesh
 from geokit.mesh.topology.connectivity import collapsed_faces, position_corners
@@ -159,8 +159,6 @@ def drop_degenerate(mesh: MeshLike, *, duplicates: bool = False, unreferenced: b
         keep[repeated_triples(corners)[0]] = False
     faces, vertices, used = mesh.faces[keep], mesh.vertices, None
     if unreferenced:
-        marked = np.zeros(len(vertices), bool)
-        marked[faces] = True
-        used = np.flatnonzero(marked)
-        faces, vertices = (np.cumsum(marked) - 1)[faces], vertices[used]
+        used, faces = used_vertices(faces, len(vertices))
+        vertices = vertices[used]
     return derived(mesh, vertices, faces, vertex_source=used, face_source=np.flatnonzero(keep))

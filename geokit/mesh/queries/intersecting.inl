@@ -2,10 +2,10 @@
 #include "mesh/bvh/box_walk.inl"
 #include "mesh/queries/triangle_pair.inl"
 
-// Calls on_pair(slot, other) with a slot of `surface` and one of `tree`. Pairs of a surface with itself are visited
-// once, from the lower slot.
-static constexpr auto visit_pairs = [](int item, const SurfaceTree& surface, const SurfaceTree& tree,
-                                       const wp::array_t<float>& slot_boxes, bool itself, double unit, auto&& on_pair) {
+// Calls test(slot, other) with a slot of `surface` and one of `tree` whose boxes are no farther apart than `margin`
+// [world]. Pairs of a surface with itself are visited once, from the lower slot.
+static constexpr auto visit_near = [](int item, const SurfaceTree& surface, const SurfaceTree& tree,
+                                      const wp::array_t<float>& slot_boxes, bool itself, double margin, auto&& test) {
 #if defined(__CUDA_ARCH__)
     const int width = 1;
 #else
@@ -28,8 +28,8 @@ static constexpr auto visit_pairs = [](int item, const SurfaceTree& surface, con
         double lower[3], upper[3];
         const point* p = surface.corners.data + 3 * slot;
         for (int k = 0; k < 3; ++k) {
-            lower[k] = wp::min(wp::min(p[0][k], p[1][k]), p[2][k]);
-            upper[k] = wp::max(wp::max(p[0][k], p[1][k]), p[2][k]);
+            lower[k] = wp::min(wp::min(p[0][k], p[1][k]), p[2][k]) - margin;
+            upper[k] = wp::max(wp::max(p[0][k], p[1][k]), p[2][k]) + margin;
         }
         local_box(tree, lower, upper, lows[lane], highs[lane]);
         for (int k = 0; k < 3; ++k) {
@@ -37,15 +37,6 @@ static constexpr auto visit_pairs = [](int item, const SurfaceTree& surface, con
             high[k] = wp::max(high[k], highs[lane][k]);
         }
     }
-    auto test = [&](int slot, int other) {
-        point t[3], u[3];
-        for (int k = 0; k < 3; ++k) {
-            t[k] = surface.corners.data[3 * slot + k] * unit;
-            u[k] = tree.corners.data[3 * other + k] * unit;
-        }
-        if (!(itself ? meet_beyond_shared(t, u) : triangles_meet(t, u))) return;
-        on_pair(slot, other);
-    };
     auto visit = [&](int first) {
         if (itself && first < width * item) return;
     #if defined(__CUDA_ARCH__)
@@ -62,6 +53,19 @@ static constexpr auto visit_pairs = [](int item, const SurfaceTree& surface, con
     #endif
     };
     walk_boxes(tree, low, high, visit);
+};
+
+// Calls on_pair(slot, other) with those that intersect.
+static constexpr auto visit_pairs = [](int item, const SurfaceTree& surface, const SurfaceTree& tree,
+                                       const wp::array_t<float>& slot_boxes, bool itself, double unit, auto&& on_pair) {
+    visit_near(item, surface, tree, slot_boxes, itself, 0.0, [&](int slot, int other) {
+        point t[3], u[3];
+        for (int k = 0; k < 3; ++k) {
+            t[k] = surface.corners.data[3 * slot + k] * unit;
+            u[k] = tree.corners.data[3 * other + k] * unit;
+        }
+        if (itself ? meet_beyond_shared(t, u) : triangles_meet(t, u)) on_pair(slot, other);
+    });
 };
 
 static constexpr auto count_pairs = [](int item, const SurfaceTree& surface, const SurfaceTree& tree,
@@ -92,4 +96,26 @@ static constexpr auto find_pair = [](int item, const SurfaceTree& surface, const
     // Another thread may have found a pair already.
     if (out_found.data[0]) return;
     visit_pairs(item, surface, tree, slot_boxes, itself, unit, [&](int, int) { out_found.data[0] = 1; });
+};
+
+// Sets out_found if triangles of two bodies may face each other within the margin. Bodies are those of `body`, -1 for
+// none, within one surface, else the two surfaces; `sense` is -1 where one of these is inside out.
+static constexpr auto find_facing = [](int item, const SurfaceTree& surface, const SurfaceTree& tree,
+                                       const wp::array_t<float>& slot_boxes, bool itself, const wp::array_t<int>& body,
+                                       double margin, double sense, wp::array_t<int>& out_found) {
+    if (out_found.data[0]) return;
+    visit_near(item, surface, tree, slot_boxes, itself, margin, [&](int slot, int other) {
+        const int *b = body.data, one = itself ? b[surface.slot_triangle.data[slot]] : 0;
+        const int another = itself ? b[tree.slot_triangle.data[other]] : 1;
+        if (one < 0 || another < 0 || one == another) return;
+        const point *t = surface.corners.data + 3 * slot, *u = tree.corners.data + 3 * other;
+        const point n = wp::cross(t[1] - t[0], t[2] - t[0]), m = wp::cross(u[1] - u[0], u[2] - u[0]);
+        if (sense * wp::dot(n, m) > -FACING * wp::length(n) * wp::length(m)) return;
+        // Whether a triangle lies on one side of a plane, farther away than the margin.
+        auto beyond = [&](const point& on, const point& normal, const point* q) {
+            const double a = wp::dot(normal, q[0] - on), b = wp::dot(normal, q[1] - on), c = wp::dot(normal, q[2] - on);
+            return wp::max(wp::min(wp::min(a, b), c), -wp::max(wp::max(a, b), c)) > margin * wp::length(normal);
+        };
+        if (!beyond(t[0], n, u) && !beyond(u[0], m, t)) out_found.data[0] = 1;
+    });
 };

@@ -19,6 +19,9 @@ VOLUME_ERROR = 8.0e-16
 AREA_ERROR = 3.4e-16
 # Six triple products of differences. A difference has two parts, so each product has eight terms of four parts each.
 PARTS = 192
+# Cosine from which on two faces face each other: 26 degrees from opposed. It is a guess: walls rough within the margin
+# touch at other angles too. So it only saves work, and what is made is judged all the same (mesh/solids/contact.py).
+FACING = 0.9
 
 
 PAIR_CONSTANTS = {
@@ -26,6 +29,7 @@ PAIR_CONSTANTS = {
     "VOLUME_ERROR": VOLUME_ERROR,
     "AREA_ERROR": AREA_ERROR,
     "PARTS": PARTS,
+    "FACING": FACING,
 }
 
 
@@ -45,14 +49,11 @@ def fill_pairs_kernel(first: int):
 
 
 @wp.kernel
-def find_pair_kernel(
-    first: int,
-    surface: SurfaceTree,
-    tree: SurfaceTree,
-    slot_boxes: wp.array(dtype=wp.float32),
-    itself: bool,
-    unit: wp.float64,
-    out_found: wp.array(dtype=int),
-):
+@cpp.native_item("mesh/queries/intersecting.inl", "find_pair", SurfaceTree, **BOX_CONSTANTS, **PAIR_CONSTANTS)
+def find_pair_kernel(first: int):
     """Whether there is any pair; all threads stop once one is found."""
-    find_pair(first + wp.tid(), surface, tree, slot_boxes, itself, unit, out_found)
+
+
+@wp.kernel
+@cpp.native_item("mesh/queries/intersecting.inl", "find_facing", SurfaceTree, **BOX_CONSTANTS, **PAIR_CONSTANTS)
+def find_facing_kernel(first: int): ...

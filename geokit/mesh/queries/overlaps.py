@@ -151,10 +151,27 @@ class OverlapQueries:
 
         from geokit.mesh.queries.intersecting_kernels import find_pair_kernel
 
+        return self._any_leaf(find_pair_kernel, self._pair_inputs(self))
+
+    def _has_facing(
+        self, other: "OverlapQueries", within: float, sense: float = 1.0, body: NDArray[np.int32] | None = None
+    ) -> bool:
+        """Whether triangles of two bodies, both wound outward, may face each other, no farther apart than ``within``.
+
+        ``sense`` is -1 where one body is wound inward. Where ``other`` is this surface, ``body`` has the body of each
+        face, -1 for none.
+        """
+        import warp as wp
+
+        from geokit.mesh.queries.intersecting_kernels import find_facing_kernel
+
+        label = wp.array(np.zeros(0, np.int32) if body is None else body, dtype=wp.int32, device=self._device)
+        inputs = [*self._pair_inputs(other)[:-1], label, wp.float64(within), wp.float64(sense)]
+        return self._any_leaf(find_facing_kernel, inputs)
+
+    def _any_leaf(self, kernel: Any, inputs: list[Any]) -> bool:
         found = host_flags(1, self._device)
-        launcher.launch(
-            find_pair_kernel, self._leaf_count, self._pair_inputs(self), [found], self._device, grain=LEAF_GRAIN
-        )
+        launcher.launch(kernel, self._leaf_count, inputs, [found], self._device, grain=LEAF_GRAIN)
         return bool(found.numpy()[0])
 
     def _pairs(self, other: "OverlapQueries") -> NDArray[np.int32]:

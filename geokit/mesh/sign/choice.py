@@ -5,15 +5,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geokit.mesh.topology.audit import face_parts
+from geokit.mesh.topology.measures import largest_of_each
 
 if TYPE_CHECKING:
     from geokit.mesh.surfaces.surface import Surface
     from geokit.mesh.topology.orientation import FaceOrientation
 
-__all__ = ["SignChoice", "choose_sign", "largest_of_each"]
+__all__ = ["SignChoice", "choose_sign"]
 
 # Winding numbers below this count as 0: twenty times their error.
 WHOLE = 0.1
@@ -78,10 +78,3 @@ def _parts_bound_one_solid(surface: Surface) -> bool:
     np.minimum.at(room, ray[others], hits.t[others])
     winding = surface.winding_number(starts + 0.5 * room[:, None] * headings)
     return bool((np.abs(winding) < WHOLE).all())
-
-
-def largest_of_each(part: NDArray[Any], size: NDArray[np.float64]) -> NDArray[np.int64]:
-    """For each component, the index of its largest face."""
-    order = np.lexsort([size, part])
-    last = np.append(part[order][1:] != part[order][:-1], True)
-    return order[last]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core.memory.pinned import host_flags
-from geokit.mesh.sign.choice import largest_of_each
+from geokit.mesh.topology.measures import largest_of_each
 
 if TYPE_CHECKING:
     from geokit.mesh.surfaces.surface import Surface

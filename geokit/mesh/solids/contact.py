@@ -28,6 +28,7 @@ def within_contact(
     positions: NDArray[np.float64],
     corners: NDArray[Any],
     size: float,
+    near: Callable[[float], bool],
     sign: float = 1.0,
 ) -> tuple[Pieces | None, str]:
     """What bodies make together, and why it is not right, "" if it is; None if nothing is.
@@ -38,13 +39,19 @@ def within_contact(
         positions: Vertices of all bodies, of which no two share one [world] (V, 3).
         corners: Corners of the faces of those bodies that may move (F, 3).
         size: Size of all bodies [world].
+        near: Whether faces of two bodies may face each other so far apart [world]. If not, there is most likely nothing
+            to join; the verdict decides.
         sign: 1 where they grow, -1 where they shrink.
     """
 
     def made(share: float) -> Pieces | None:
         return make(inflated(positions, corners, sign * share * size) if share else positions)
 
-    as_given, moved = made(0.0), made(CONTACT)
+    as_given = made(0.0)
+    # Each of two faces moves by CONTACT at most; the rest is for rounding.
+    if as_given is not None and not near(2.5 * CONTACT * size) and not verdict(as_given, 0.0):
+        return as_given, ""
+    moved = made(CONTACT)
     # Where bodies touch but for rounding, both sides of the contact are there until they move together.
     before, after = (
         areas_of(places, corners) for places in (positions, inflated(positions, corners, sign * CONTACT * size))

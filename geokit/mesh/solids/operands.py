@@ -19,7 +19,7 @@ from geokit.mesh.sign.left_out import left_out_faces
 from geokit.mesh.solids.boundary import boundary_of
 from geokit.mesh.solids.contact import within_contact
 from geokit.mesh.solids.judging import verdict_of
-from geokit.mesh.solids.pieces import Pieces, Solid, Verb, combined, solid_of
+from geokit.mesh.solids.pieces import Pieces, Verb, boxes_that_meet, combined, pieces_of, together
 from geokit.mesh.topology.bodies import closed_bodies
 
 if TYPE_CHECKING:
@@ -34,14 +34,12 @@ class Operand(NamedTuple):
     """What a mesh encloses.
 
     Attributes:
-        mesh: The boundary of that, solids outward.
-        solid: The same, in which no two bodies share a vertex; rows are those of the mesh that was given.
-        surface: A surface of the boundary.
+        surface: A surface of the boundary of that, solids outward.
+        solid: The boundary, in which no two bodies share a vertex; its source are faces of the mesh that was given.
     """
 
-    mesh: TriangleMesh
-    solid: Solid
     surface: Surface
+    solid: Pieces
 
 
 def as_counted(surface: Any) -> tuple[TriangleMesh, NDArray[np.int64]]:
@@ -61,8 +59,8 @@ def as_counted(surface: Any) -> tuple[TriangleMesh, NDArray[np.int64]]:
     return turned, source
 
 
-def read_operand(surface: Surface, name: str) -> Operand:
-    """What a surface's mesh encloses.
+def read_operand(surface: Surface, name: str, begin: int) -> Operand:
+    """What a surface's mesh encloses; its faces are numbered from ``begin`` on.
 
     Raises:
         InputError: The mesh is open, or crosses itself; the message begins with ``name``.
@@ -74,7 +72,7 @@ def read_operand(surface: Surface, name: str) -> Operand:
             "level set of it bounds: mesh.from_volume(volume.from_mesh(mesh, voxel_size))"
         )
     mesh, source = (boundary.mesh, boundary.source) if boundary.source is not None else as_counted(surface)
-    bodies = closed_bodies(mesh)[0]
+    bodies = closed_bodies(mesh, surface._topology if mesh is surface.mesh else None)[0]
     loose = np.flatnonzero(bodies.label < 0)
     loose = loose[~collapsed(mesh.vertices[mesh.faces[loose]])]
     if len(loose):
@@ -83,43 +81,49 @@ def read_operand(surface: Surface, name: str) -> Operand:
             "make a solid shell of it: mesh.from_volume(volume.from_mesh(mesh, voxel_size, thickness=...))"
         )
     rows = np.flatnonzero(bodies.label >= 0)
-    solid = solid_of(bodies, rows, bodies.positions)._replace(rows=source[rows])
-    return Operand(mesh, solid, surface if mesh is surface.mesh else surface._of(mesh, device=surface._device))
+    solid = pieces_of(bodies.positions, bodies.corners, rows)._replace(source=source[rows] + begin)
+    return Operand(surface if mesh is surface.mesh else surface._of(mesh, device=surface._device), solid)
 
 
-def made_of(operands: Sequence[Operand], begins: Sequence[int], verb: Verb) -> Pieces:
-    """The boundary of what operands are together; the faces of each are numbered from its entry of ``begins`` on.
+def made_of(operands: Sequence[Operand], verb: Verb) -> Pieces:
+    """The boundary of what operands are together.
 
     Raises:
         InputError: It cannot be made.
         MissingDependencyError: manifold3d is not installed.
         DeviceMemoryError: There is not enough memory for it.
     """
-    solids = [each.solid for each in operands]
-    ends = np.cumsum([len(solid.positions) for solid in solids])
-    positions = np.concatenate([solid.positions for solid in solids])
-    corners = [solid.corners + (end - len(solid.positions)) for solid, end in zip(solids, ends, strict=True)]
-    size = float(np.ptp(positions, axis=0).max())
+    surfaces, solids = zip(*operands, strict=True)
+    given = together(solids)
+    size = float(np.ptp(given.vertices, axis=0).max())
+    ends = np.cumsum([len(solid.vertices) for solid in solids[:-1]])
+    lower, upper = np.stack([surface.bounds for surface in surfaces], axis=1)
 
     def make(places: NDArray[np.float64]) -> Pieces | None:
-        each = zip(np.split(places, ends[:-1]), solids, begins, strict=True)
-        return combined([Solid(place, solid.corners, solid.rows + begin) for place, solid, begin in each], verb)
+        each = zip(np.split(places, ends), solids, strict=True)
+        return combined([solid._replace(vertices=place) for place, solid in each], verb)
 
     def inside(points: NDArray[np.float64]) -> NDArray[np.bool_]:
         found = np.ones(len(points), bool)
-        for number, operand in enumerate(operands):
-            is_within = operand.surface.winding_number(points[found]) > 0.5
+        for number, surface in enumerate(surfaces):
+            is_within = surface.winding_number(points[found]) > 0.5
             found[found] = ~is_within if number and verb == "Subtract" else is_within
         return found
 
-    def verdict(pieces: Pieces, moved: float) -> str:
-        make_surface = partial(operands[0].surface._of, device=operands[0].surface._device)
-        return verdict_of(positions, np.concatenate(corners), pieces, inside, make_surface, size, moved)
+    def near(within: float) -> bool:
+        for one, other in zip(*boxes_that_meet(lower, upper, within), strict=True):
+            # What is subtracted from the first one lies beside what it leaves of it as if that were inside out.
+            sense = -1.0 if verb == "Subtract" and 0 in (one, other) else 1.0
+            if surfaces[one]._has_facing(surfaces[other], within, sense):
+                return True
+        return False
 
     # Walls in one plane but for rounding: what is subtracted grows, so that no skin is left of the first one; for an
     # intersection all but the first one shrink, so that bodies that touch have nothing in common.
     sign = 1.0 if verb == "Subtract" else -1.0
-    pieces, kept = within_contact(make, verdict, positions, np.concatenate(corners[1:]), size, sign)
+    verdict = partial(verdict_of, given, inside, partial(surfaces[0]._of, device=surfaces[0]._device), size)
+    moving = given.faces[len(solids[0].faces) :]
+    pieces, kept = within_contact(make, verdict, given.vertices, moving, size, near, sign)
     if pieces is None or kept:
         raise InputError(
             f"others: their {NAMES[verb]} with mesh is not right: winding numbers contradict it; repair the meshes one "

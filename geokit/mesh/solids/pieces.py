@@ -11,11 +11,8 @@ from numpy.typing import NDArray
 from geokit._packages import require_package
 from geokit.core.memory.needs import require_free
 from geokit.mesh.attributes.derived import used_vertices
-from geokit.mesh.topology.bodies import Bodies
-from geokit.mesh.topology.boxes import boxes_of
-from geokit.mesh.topology.connectivity import connected_components
 
-__all__ = ["Pieces", "Solid", "Verb", "boxes_that_meet", "combined", "inflated", "solid_of"]
+__all__ = ["Pieces", "Verb", "boxes_that_meet", "combined", "inflated", "pieces_of", "together"]
 
 # What becomes of solids, as manifold3d names it: of the first one all others are subtracted.
 Verb = Literal["Add", "Subtract", "Intersect"]
@@ -36,24 +33,29 @@ class Pieces(NamedTuple):
     """
 
     vertices: NDArray[np.float64]
-    faces: NDArray[np.int64]
+    faces: NDArray[Any]
     source: NDArray[np.int64]
 
 
-def boxes_that_meet(
-    vertices: NDArray[np.float64], faces: NDArray[np.int32], label: NDArray[Any], count: int, within: float
-) -> NDArray[np.int32]:
-    """Groups of labels whose boxes are no farther apart than ``within`` [world]: the lowest label of each (count,).
+def pieces_of(vertices: NDArray[np.float64], faces: NDArray[Any], rows: NDArray[np.int64]) -> Pieces:
+    """Some rows of faces, with the vertices that they use."""
+    used, corners = used_vertices(faces[rows], len(vertices))
+    return Pieces(vertices[used], corners, rows)
 
-    Args:
-        vertices: Positions [world] (V, 3).
-        faces: Vertex indices (F, 3).
-        label: Label of each face (F,), from 0 to ``count``; each has a face.
-        count: Number of labels.
-        within: The distance [world].
-    """
-    lower, upper = boxes_of(vertices, faces, label, count)
-    lower = lower - within
+
+def together(several: Sequence[Pieces]) -> Pieces:
+    """Several pieces in one, in their order."""
+    begins = np.cumsum([0, *(len(each.vertices) for each in several[:-1])])
+    faces = [each.faces + begin for each, begin in zip(several, begins, strict=True)]
+    vertices, source = ([each[field] for each in several] for field in (0, 2))
+    return Pieces(np.concatenate(vertices), np.concatenate(faces), np.concatenate(source))
+
+
+def boxes_that_meet(
+    lower: NDArray[np.float64], upper: NDArray[np.float64], within: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Pairs of boxes (count, 3) no farther apart than ``within`` [world], each pair once: rows of both (P,)."""
+    count, lower = len(lower), lower - within
     order = np.argsort(lower[:, 0], kind="stable")
     lower, upper = lower[order], upper[order]
     ones, others = [order[:0]], [order[:0]]
@@ -64,34 +66,16 @@ def boxes_that_meet(
         for axis in range(3):
             meet &= lower[rows, None, axis] <= upper[None, begin:last, axis]
             meet &= lower[None, begin:last, axis] <= upper[rows, None, axis]
-        one, other = np.nonzero(meet)
+        one, other = np.nonzero(np.triu(meet, 1))
         ones.append(order[begin + one])
         others.append(order[begin + other])
-    return connected_components(count, np.concatenate(ones), np.concatenate(others))
+    return np.concatenate(ones), np.concatenate(others)
 
 
-class Solid(NamedTuple):
-    """A closed body and its cavities, or several that do not overlap.
-
-    Attributes:
-        positions: Positions [world] (V, 3).
-        corners: Rows of the corners of its faces (F, 3).
-        rows: Numbers of its faces (F,).
-    """
-
-    positions: NDArray[np.float64]
-    corners: NDArray[Any]
-    rows: NDArray[np.int64]
-
-
-def solid_of(bodies: Bodies, rows: NDArray[np.int64], positions: NDArray[np.float64]) -> Solid:
-    """Some faces of bodies, their vertices at these positions."""
-    used, corners = used_vertices(bodies.corners[rows], len(positions))
-    return Solid(positions[used], corners, rows)
-
-
-def combined(solids: Sequence[Solid], verb: Verb) -> Pieces | None:
+def combined(solids: Sequence[Pieces], verb: Verb) -> Pieces | None:
     """The boundary of what solids are together, of which none may cross itself; None where manifold3d refuses one.
+
+    A solid is a closed body and its cavities, or several that do not overlap, of which no two share a vertex.
 
     Raises:
         MissingDependencyError: manifold3d is not installed.
@@ -99,11 +83,11 @@ def combined(solids: Sequence[Solid], verb: Verb) -> Pieces | None:
     """
     manifold: Any = require_package("manifold3d")
     # It does not check what it allocates.
-    require_free(BYTES_PER_FACE * sum(len(solid.rows) for solid in solids), "union of bodies", always=True)
+    require_free(BYTES_PER_FACE * sum(len(solid.faces) for solid in solids), "union of bodies", always=True)
     parts = []
     for solid in solids:
         # Every face keeps its number, and flat regions keep their triangles.
-        made = manifold.Mesh64(solid.positions, solid.corners.astype(np.uint64), face_id=solid.rows.astype(np.uint64))
+        made = manifold.Mesh64(solid.vertices, solid.faces.astype(np.uint64), face_id=solid.source.astype(np.uint64))
         part = manifold.Manifold(made)
         if part.status() != manifold.Error.NoError:
             return None

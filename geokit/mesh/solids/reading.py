@@ -41,7 +41,7 @@ class Reading(NamedTuple):
 def read_solids(mesh: TriangleMesh, given: Any, size: float, make_surface: Any) -> Reading:
     """The reading of a mesh that leaves no sheets outside of solids, else the one with most faces in solids."""
     found = []
-    for bodies in closed_bodies(mesh):
+    for bodies in closed_bodies(mesh, None if given._orientation.flipped.any() else given._topology):
         solids, sheets = _solids(mesh, bodies)
         judge = given
         if len(sheets):
@@ -90,6 +90,6 @@ def _inner_sheets(
     inner, outer = sheets_inside(mesh, sheets, judge, off)
     if not len(outer):
         return inner, False
-    corners, area, _ = checkable(mesh.vertices, mesh.faces[outer], off, most=FACES_FOR_A_SHARE)
+    corners, area, *_ = checkable(mesh.vertices, mesh.faces[outer], off, most=FACES_FOR_A_SHARE)
     share = area[is_inside(corners, judge, off)].sum() / max(area.sum(), np.finfo(float).tiny)
     return inner, bool(share > OVERLAP_SHARE)

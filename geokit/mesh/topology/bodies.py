@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.mesh.model.triangle_mesh import TriangleMesh
-from geokit.mesh.topology.connectivity import Topology, collapsed_faces, connected_components, position_corners
+from geokit.mesh.topology.connectivity import MeshTopology, Topology, connected_components, mesh_topology
 from geokit.mesh.topology.measures import measure_faces
+from geokit.mesh.topology.normals import unit
 from geokit.mesh.topology.orientation import FLAT_SHARE
 
 __all__ = ["Bodies", "closed_bodies"]
@@ -45,15 +46,15 @@ class Bodies(NamedTuple):
     positions: NDArray[np.float64]
 
 
-def closed_bodies(mesh: TriangleMesh) -> list[Bodies]:
+def closed_bodies(mesh: TriangleMesh, known: MeshTopology | None = None) -> list[Bodies]:
     """The closed bodies of a mesh whose faces are wound alike.
 
     Where edges have faces of which not all go up in pairs, there are two readings, the one with more faces in closed
-    bodies first: without the walls that lie inside of others, or with them.
+    bodies first: without the walls that lie inside of others, or with them. ``known`` is the mesh's topology, if that
+    is there already.
     """
-    at, position_count = position_corners(mesh)
-    kept = np.flatnonzero(~collapsed_faces(at))
-    topology = Topology(at[kept], position_count)
+    _, _, collapsed, topology = known or mesh_topology(mesh)
+    kept = np.flatnonzero(~collapsed)
     found = []
     for outermost in (False, True):
         partner = np.full(3 * len(kept), -1, np.int64)
@@ -76,7 +77,8 @@ def _bodies(mesh: TriangleMesh, kept: NDArray[np.int64], partner: NDArray[np.int
     # face goes on.
     following = other + 1 - (other % 3 == 2) * 3
     fan = connected_components(3 * len(kept), paired, following)
-    used, numbers = np.unique(fan, return_inverse=True)
+    is_first = fan == np.arange(len(fan))
+    used, numbers = np.flatnonzero(is_first), np.take(np.cumsum(is_first) - 1, fan)
     corners = np.full((mesh.face_count, 3), -1, np.int32)
     corners[kept] = numbers.reshape(-1, 3)
     corners[label < 0] = -1
@@ -188,7 +190,7 @@ def _pair_by_angle(
         following[np.append(first[1:], len(edges)) - 1] = first
         if outermost and uneven:
             # The second of two begins in a row is inside of the first one's wedge, and so is the first of two ends.
-            inner = np.where(ends, ends[following], ends == ends[_before(following)]) & (
+            inner = np.where(ends, ends[following], ends == ends[np.argsort(following)]) & (
                 np.where(ends, excess[edges], -excess[edges]) > 0
             )
             inner &= following != np.arange(len(edges))
@@ -210,13 +212,6 @@ def _pair_by_angle(
     return uneven
 
 
-def _before(following: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The inverse of a permutation."""
-    before = np.empty_like(following)
-    before[following] = np.arange(len(following))
-    return before
-
-
 def _angles(
     vertices: NDArray[np.float64],
     faces: NDArray[np.int32],
@@ -228,10 +223,8 @@ def _angles(
     face, corner = np.divmod(half_edges, 3)
     start, end, apex = (vertices[faces[face, (corner + shift) % 3]] for shift in range(3))
     low = np.where(forward[:, None], start, end)
-    axis = np.where(forward[:, None], end - start, start - end)
     # At unit length, so that products neither overflow nor underflow.
-    axis /= np.abs(axis).max(axis=1, keepdims=True)
-    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    axis = unit(np.where(forward[:, None], end - start, start - end))
     side = apex - low
     side /= np.abs(side).max(axis=1, keepdims=True)
     side -= (side * axis).sum(axis=1, keepdims=True) * axis

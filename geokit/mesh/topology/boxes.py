@@ -33,7 +33,8 @@ def boxes_of(
     require_free(BYTES_PER_FACE * len(faces), "boxes of parts", always=True)
     order = np.argsort(label, kind="stable")
     starts = np.searchsorted(label[order], np.arange(count))
-    corners = vertices[faces[order]]
-    lower: NDArray[np.float64] = np.minimum.reduceat(corners.min(axis=1), starts, axis=0)
-    upper: NDArray[np.float64] = np.maximum.reduceat(corners.max(axis=1), starts, axis=0)
+    # NumPy reduces an axis of three several times slower.
+    a, b, c = (np.take(vertices, corner, axis=0) for corner in faces[order].T)
+    lower: NDArray[np.float64] = np.minimum.reduceat(np.minimum(np.minimum(a, b), c), starts, axis=0)
+    upper: NDArray[np.float64] = np.maximum.reduceat(np.maximum(np.maximum(a, b), c), starts, axis=0)
     return lower, upper

@@ -30,7 +30,7 @@ __all__ = [
 ]
 
 # Rounds in which the fans of all vertices are walked at once, one face per round. This is enough for all but a few
-# apexes, whose thousands of faces would each take a round. Those are left to a method that needs only a few rounds.
+# apexes, which are then walked one by one.
 FAN_ROUNDS = 32
 # From here on, a number and an index no longer fit into 64 bits together.
 PACKED_END = 2**64
@@ -204,26 +204,28 @@ class Topology:
         position = np.flatnonzero(counts)
         corner = first[position]
         seen = np.zeros(self.position_count, np.int64)
-        ended, long = _walk(crossing, position, corner, 0, seen)
-        _, also_long = _walk(crossing, ended, first[ended], 1, seen)
+        ended = _walk(crossing, position, corner, 0, seen)
+        _walk(crossing, ended, first[ended], 1, seen)
         # The starting corner was counted in both directions.
         seen[ended] -= 1
-        long = np.union1d(long, also_long)
-        seen[long] = counts[long]
-        return np.union1d(np.flatnonzero(seen != counts), self._split_by_components(long))
+        return np.flatnonzero(seen != counts)
 
     def _fans_by_kernel(self, first: NDArray[np.int32]) -> NDArray[np.int32]:
         """Number of corners in the fan that contains each position's first corner."""
         from geokit.mesh.topology.fans_kernels import fan_kernel
 
+        seen = np.empty(self.position_count, np.int32)
+        inputs = [HostArray(first), HostArray(self._links())]
+        launcher.launch(fan_kernel, len(seen), inputs, [HostArray(seen)], launcher.resolve_device("cpu"))
+        return seen
+
+    def _links(self) -> NDArray[Any]:
+        """Twice the half-edge across each one, plus 1 if it runs the same way, (3 F,); negative if there is none."""
         link = self.twin << 1
         if not self.oriented:
             for pair in self.pairs:
                 link[pair[~self.opposed]] |= 1
-        seen = np.empty(self.position_count, np.int32)
-        inputs = [HostArray(first), HostArray(link)]
-        launcher.launch(fan_kernel, len(seen), inputs, [HostArray(seen)], launcher.resolve_device("cpu"))
-        return seen
+        return link
 
     def _crossings(self) -> NDArray[Any]:
         """Links from each corner to the next one around its position, (6 F,); -1 if the edge does not have exactly two
@@ -233,47 +235,16 @@ class Topology:
         that ends there if s is 1.
         """
         crossing = np.empty((len(self.faces), 3, 2), self.twin.dtype)
-        opposed = None if self.oriented else self._opposed_half_edges()
+        link = self._links().reshape(-1, 3)
         for begin in range(0, len(self.faces), BLOCK):
             rows = slice(begin, begin + BLOCK)
-            across = self.twin.reshape(-1, 3)[rows]
-            after = next_half_edge(across)
-            alike = None if opposed is None else ~opposed.reshape(-1, 3)[rows]
-            leaving_start, leaving_end = 2 * after, 2 * across[:, (2, 0, 1)] + 1
-            if alike is not None:
-                # The half-edge across also starts at this position.
-                leaving_start = np.where(alike, 2 * across + 1, leaving_start)
-                leaving_end = np.where(alike[:, (2, 0, 1)], 2 * after[:, (2, 0, 1)], leaving_end)
-            crossing[rows, :, 0] = np.where(across < 0, -1, leaving_start)
-            crossing[rows, :, 1] = np.where(across[:, (2, 0, 1)] < 0, -1, leaving_end)
+            across, alike = link[rows] >> 1, (link[rows] & 1).astype(bool)
+            # Where the half-edge across runs the same way, it also starts at this position.
+            through_start, through_end = 2 * next_half_edge(across), 2 * across + 1
+            through_start[alike], through_end[alike] = through_end[alike], through_start[alike]
+            through_start[across < 0] = through_end[across < 0] = -1
+            crossing[rows, :, 0], crossing[rows, :, 1] = through_start, through_end[:, (2, 0, 1)]
         return crossing.reshape(-1)
-
-    def _opposed_half_edges(self) -> NDArray[np.bool_]:
-        opposed = np.zeros(len(self.order), bool)
-        for pair in self.pairs:
-            opposed[pair] = self.opposed
-        return opposed
-
-    def _split_by_components(self, vertices: NDArray[np.int64]) -> NDArray[np.int64]:
-        """The given vertices whose faces do not form a single fan."""
-        if not len(vertices):
-            return np.zeros(0, np.int64)
-        wanted = np.zeros(self.position_count, bool)
-        wanted[vertices] = True
-        one, other = self.pairs
-        one_end, other_end = next_half_edge(one), next_half_edge(other)
-        # Nodes are corners, numbered as the half-edge that starts there. The two faces at an edge meet at both of its
-        # ends.
-        links = np.where(self.opposed, other_end, other), np.where(self.opposed, other, other_end)
-        here = [wanted[self.start[one]], wanted[self.start[one_end]]]
-        ends = [
-            np.concatenate([one[here[0]], one_end[here[1]]]),
-            np.concatenate([links[0][here[0]], links[1][here[1]]]),
-        ]
-        corners = np.flatnonzero(wanted[self.start])
-        label = connected_components(len(corners), *(np.searchsorted(corners, end) for end in ends))
-        fans = np.bincount(self.start[corners[label == np.arange(len(corners))]], minlength=self.position_count)
-        return np.flatnonzero(fans > 1)
 
     def piece_count(self, collapsed: NDArray[np.int32]) -> int:
         """Number of components that share no position; ``collapsed`` adds those of faces with two equal corners."""
@@ -294,10 +265,10 @@ class Topology:
 
 def _walk(
     crossing: NDArray[Any], position: NDArray[np.int64], corner: NDArray[Any], way: int, seen: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+) -> NDArray[np.int64]:
     """Walk from corner to corner around each position, and add the number of corners to ``seen``.
 
-    Returns the positions whose walk ended, and those whose walk was too long.
+    Returns the positions whose walk ended.
     """
     ended = [position[:0]]
     state = 2 * corner + way
@@ -311,7 +282,14 @@ def _walk(
             seen[position[done]] += step
             ended.append(position[open_end])
             position, corner, state = position[~done], corner[~done], state[~done]
-    return np.concatenate(ended), position
+    for place, start, at in zip(position.tolist(), corner.tolist(), state.tolist(), strict=True):
+        step = FAN_ROUNDS
+        while at >= 0 and at >> 1 != start:
+            at, step = int(crossing[at]), step + 1
+        seen[place] += step
+        if at < 0:
+            ended.append(np.array([place]))
+    return np.concatenate(ended)
 
 
 def next_half_edge(half_edge: NDArray[Any]) -> NDArray[Any]:

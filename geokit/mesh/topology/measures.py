@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from geokit.core import launcher
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.topology.connectivity import kernels_pay
 
-__all__ = ["DEGENERATE_RATIO", "FaceMeasures", "faces_without_area", "measure_each", "measure_faces"]
+__all__ = ["DEGENERATE_RATIO", "FaceMeasures", "faces_without_area", "largest_of_each", "measure_each", "measure_faces"]
 
 # A triangle whose height is under this share of its longest edge has no area. For float64 coordinates at a distance of
 # 1e4 edges the height has that much noise, so that the normal consists of rounding alone.
@@ -47,6 +47,13 @@ class FaceMeasures(NamedTuple):
 def faces_without_area(mesh: TriangleMesh) -> NDArray[np.bool_]:
     """Triangles whose height is under DEGENERATE_RATIO of their longest edge, (F,)."""
     return measure_faces(mesh, mesh.bounds).flat
+
+
+def largest_of_each(part: NDArray[Any], size: NDArray[np.float64]) -> NDArray[np.int64]:
+    """For each component, the index of its largest face."""
+    order = np.lexsort([size, part])
+    last = np.append(part[order][1:] != part[order][:-1], True)
+    return order[last]
 
 
 def measure_faces(mesh: TriangleMesh, bounds: NDArray[np.float64]) -> FaceMeasures:

@@ -14,7 +14,7 @@ from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.topology.boxes import boxes_of
 from geokit.mesh.topology.connectivity import MeshTopology, Topology, connected_components, mesh_topology
 from geokit.mesh.topology.doubled_faces import DoubledFaces, doubled_faces, none_doubled, with_polygons
-from geokit.mesh.topology.measures import FaceMeasures, measure_faces
+from geokit.mesh.topology.measures import FaceMeasures, largest_of_each, measure_faces
 
 if TYPE_CHECKING:
     from geokit.mesh.queries.rays import RayHitLists
@@ -65,13 +65,6 @@ class _Pieces(NamedTuple):
     one_sided: NDArray[np.bool_]
 
 
-class _Rays(NamedTuple):
-    """The surface whose rays are used: the mesh's own, or one that is built when needed."""
-
-    surface: Surface | None
-    make_surface: Callable[[TriangleMesh], Surface]
-
-
 def orient_faces(
     mesh: TriangleMesh,
     make_surface: Callable[[TriangleMesh], Surface],
@@ -115,7 +108,7 @@ def orient_faces(
     turned = pieces.turned
     volume = _piece_volumes(measure_faces(mesh, mesh.bounds), first, pieces, closed)
     if np.any(volume < 0.0):
-        turned = turned ^ _outward(mesh, first, pieces, volume, _Rays(surface, make_surface))[pieces.label]
+        turned = turned ^ _outward(mesh, first, pieces, volume, make_surface, surface)[pieces.label]
     flipped[first] = turned
     flipped[kept[repeats]] = flipped[kept[repeated]]
     consistent = not pieces.one_sided.any()
@@ -192,12 +185,21 @@ def _piece_volumes(
 
 
 def _outward(
-    mesh: TriangleMesh, first: NDArray[np.int64], pieces: _Pieces, volume: NDArray[np.float64], rays: _Rays
+    mesh: TriangleMesh,
+    first: NDArray[np.int64],
+    pieces: _Pieces,
+    volume: NDArray[np.float64],
+    make_surface: Callable[[TriangleMesh], Surface],
+    surface: Surface | None,
 ) -> NDArray[np.bool_]:
     """Components to flip as a whole, (count,)."""
     solid = np.flatnonzero(volume)
     inward = volume[solid] < 0.0
-    inner, outer = _nesting(mesh, first, pieces, solid, rays)
+    index = np.full(pieces.piece_count, -1)
+    index[solid] = np.arange(len(solid))
+    piece = np.full(len(mesh.faces), -1)
+    piece[first] = index[pieces.label]
+    inner, outer = enclosing_pairs(mesh, piece, len(solid), make_surface, surface)
     depth = np.bincount(inner, minlength=len(solid))
     # The outermost component around each one; of several, which only intersecting components have, the lowest.
     root = np.full(len(solid), len(solid))
@@ -220,45 +222,39 @@ def _outward(
     return turn
 
 
-def _nesting(
-    mesh: TriangleMesh, first: NDArray[np.int64], pieces: _Pieces, solid: NDArray[np.int64], rays: _Rays
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Pairs of components, as indices into ``solid``: the second encloses the first."""
-    index = np.full(pieces.piece_count, -1)
-    index[solid] = np.arange(len(solid))
-    piece = np.full(len(mesh.faces), -1)
-    piece[first] = index[pieces.label]
-    return _enclosing(mesh, piece, len(solid), rays)
-
-
 def enclosing_pairs(
-    mesh: TriangleMesh, piece: NDArray[Any], count: int, make_surface: Callable[[TriangleMesh], Surface]
+    mesh: TriangleMesh,
+    piece: NDArray[Any],
+    count: int,
+    make_surface: Callable[[TriangleMesh], Surface],
+    surface: Surface | None = None,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Pairs of closed pieces of a mesh: the second encloses the first.
+
+    Its box contains the other's box, and a ray from the other's largest face crosses it an odd number of times.
 
     Args:
         mesh: The mesh.
         piece: Piece of each face (F,); -1 for the faces of none.
         count: Number of pieces; each has a face.
         make_surface: As for :func:`orient_faces`.
-    """
-    return _enclosing(mesh, piece, count, _Rays(None, make_surface))
-
-
-def _enclosing(
-    mesh: TriangleMesh, piece: NDArray[Any], count: int, rays: _Rays
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """A piece encloses another if its box contains the other's box, and a ray from the other's largest face crosses it
-    an odd number of times.
+        surface: As for :func:`orient_faces`.
     """
     members = np.flatnonzero(piece >= 0)
     lower, upper = boxes_of(mesh.vertices, mesh.faces[members], piece[members], count)
     if not _any_box_in_another(lower, upper):
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
-    members = members[np.argsort(piece[members], kind="stable")]
-    corners = mesh.vertices[mesh.faces[members]]
-    origins = corners[_largest_of_each(piece[members], corners)].mean(axis=1)
-    hits = _nesting_rays(mesh, rays, origins)
+    twice_area = measure_faces(mesh, mesh.bounds).twice_area
+    largest = members[largest_of_each(piece[members], twice_area[members])]
+    origins = mesh.vertices[mesh.faces[largest]].mean(axis=1)
+    lowest, highest = mesh.bounds
+    size = float(np.max(highest * 0.5 - lowest * 0.5))
+    if surface is None or not 1.0 / EXTREME_SIZE < size < EXTREME_SIZE:
+        middle = lowest * 0.5 + highest * 0.5
+        # Unused vertices may lie anywhere, also where this would overflow.
+        local = (np.clip(mesh.vertices, lowest, highest) - middle) / size
+        surface, origins = make_surface(TriangleMesh(local, mesh.faces)), (origins - middle) / size
+    hits: RayHitLists = surface.raycast_all(origins, np.tile(NESTING_DIRECTION, (count, 1)))
     ray = np.repeat(np.arange(count), np.diff(hits.offsets))
     hit = piece[hits.triangle_id]
     elsewhere = (hit >= 0) & (hit != ray)
@@ -266,19 +262,6 @@ def _enclosing(
     inner, outer = np.divmod(pair[passages % 2 == 1], count)
     held = np.all((lower[outer] <= lower[inner]) & (upper[inner] <= upper[outer]), axis=1)
     return inner[held], outer[held]
-
-
-def _nesting_rays(mesh: TriangleMesh, rays: _Rays, origins: NDArray[np.float64]) -> RayHitLists:
-    surface = rays.surface
-    lower, upper = mesh.bounds
-    size = float(np.max(upper * 0.5 - lower * 0.5))
-    if surface is None or not 1.0 / EXTREME_SIZE < size < EXTREME_SIZE:
-        middle = lower * 0.5 + upper * 0.5
-        # Unused vertices may lie anywhere, also where this would overflow.
-        local = (np.clip(mesh.vertices, lower, upper) - middle) / size
-        surface, origins = rays.make_surface(TriangleMesh(local, mesh.faces)), (origins - middle) / size
-    hits: RayHitLists = surface.raycast_all(origins, np.tile(NESTING_DIRECTION, (len(origins), 1)))
-    return hits
 
 
 def _any_box_in_another(lower: NDArray[np.float64], upper: NDArray[np.float64]) -> bool:
@@ -290,13 +273,3 @@ def _any_box_in_another(lower: NDArray[np.float64], upper: NDArray[np.float64]) 
         held &= (lower[:, None, axis] >= lower[None, :, axis]) & (upper[:, None, axis] <= upper[None, :, axis])
     np.fill_diagonal(held, False)
     return bool(held.any())
-
-
-def _largest_of_each(piece: NDArray[np.int64], corners: NDArray[np.float64]) -> NDArray[np.int64]:
-    """The row of the largest face in each component; the faces of a component are consecutive."""
-    # At unit size, so that products of lengths neither overflow nor underflow.
-    size = float(np.abs(corners).max()) or 1.0
-    edges = (corners[:, 1:] / size) - (corners[:, :1] / size)
-    area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
-    order = np.lexsort([area, piece])
-    return order[np.append(piece[1:] != piece[:-1], True)]

@@ -13,6 +13,7 @@ from benchmarks.catalog import mesh_catalog
 from geokit import errors
 from geokit.core.memory import available_memory
 from tests.support import reference
+from tests.support.assemblies import concatenated
 
 
 def surface(vertices, faces):
@@ -197,3 +198,26 @@ class TestSelfIntersections:
         vertices = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 1], [1, 1, -1], [-1, 0, 1], [-1, 0, -1]]
         assert surface(vertices, [[0, 1, 2], [0, 3, 4]]).self_intersections().tolist() == [[0, 1]]
         assert len(surface(vertices, [[0, 1, 2], [0, 5, 6]]).self_intersections()) == 0
+
+
+class TestFacesThatFaceEachOther:
+    def test_two_surfaces_within_a_distance(self):
+        one, above, flush = (
+            gk.mesh.Surface(gk.mesh.box(size, center=(0, 0, z)), device="cpu")
+            for size, z in (((1, 1, 1), 0.0), ((1, 1, 1), 1.001), ((0.5, 0.5, 0.5), 0.25))
+        )
+        assert one._has_facing(above, 2e-3)
+        assert above._has_facing(one, 2e-3)
+        assert not one._has_facing(above, 5e-4)
+        # The upper walls lie in one plane: they face each other if one body is inside out.
+        assert not one._has_facing(flush, 1e-6)
+        assert one._has_facing(flush, 1e-6, -1.0)
+
+    def test_bodies_of_one_surface(self):
+        both = concatenated(gk.mesh.box(), gk.mesh.box(center=(0, 0, 1.001)))
+        body = np.repeat(np.arange(2, dtype=np.int32), 12)
+        s = gk.mesh.Surface(both, device="cpu")
+        assert s._has_facing(s, 2e-3, body=body)
+        assert not s._has_facing(s, 5e-4, body=body)
+        assert not s._has_facing(s, 2e-3, body=0 * body)
+        assert not s._has_facing(s, 2e-3, body=body - 1)

@@ -2,11 +2,26 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from geokit.errors import InputError, MissingDependencyError
-from geokit.mesh import MeshPart, TriangleMesh, audit, box, cylinder, difference, intersection, sphere, torus, union
+from geokit.mesh import (
+    MeshPart,
+    Surface,
+    TriangleMesh,
+    audit,
+    box,
+    cylinder,
+    difference,
+    intersection,
+    sphere,
+    torus,
+    union,
+)
+from geokit.mesh.solids import boundary, operands, pieces
 from tests.support.assemblies import blocks, concatenated, in_float32, sheet, star, turned
 
 EMPTY = TriangleMesh([], [])
@@ -71,6 +86,51 @@ def test_walls_in_one_plane_but_for_rounding_leave_no_skin(name: str, seed: int)
         one, other = map(in_float32, both) if single else both
         check(difference(one, other), alone, areas[0], tolerance)
         check(intersection(one, other), common, areas[1], tolerance)
+
+
+@pytest.mark.parametrize("seed", [None, 0])
+@pytest.mark.parametrize(
+    ("verb", "meshes", "once"),
+    [
+        (union, PAIRS["in a corner"][:2], True),
+        (union, PAIRS["touch in a face"][:2], False),
+        (difference, PAIRS["in a corner"][:2], True),
+        (difference, PAIRS["share a wall"][:2], False),
+        (difference, (box((4, 4, 4)), box(), box(center=(0, 0, 1))), False),
+        (intersection, PAIRS["in a corner"][:2], True),
+        (intersection, PAIRS["touch in a face"][:2], False),
+    ],
+)
+def test_bodies_are_moved_only_where_faces_of_two_face_each_other_within_contact(
+    verb: Any, meshes: Any, once: bool, seed: int | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = []
+    for room in (boundary, operands):
+        monkeypatch.setattr(room, "combined", lambda *given: made.append(given) or pieces.combined(*given))
+    verb(*(mesh if seed is None else turned(mesh, seed, 0.3) for mesh in meshes))
+    assert (len(made) == 1) == once
+
+
+def test_a_rough_wall_that_faces_none_is_joined_all_the_same() -> None:
+    teeth, height, at = 100, 1e-4, 100 * 2 + 1
+    z, x = np.linspace(0.0, height, at), np.where(np.arange(at) % 2, 0.5 * height / teeth, 0.0)
+    outline = np.concatenate([np.stack([x + 1e-9, z], axis=1), [[0.5, height], [0.5, 0.0]]])
+    i, count = np.arange(at + 2), at + 2
+    j = (i + 1) % count
+    cap = np.concatenate([np.stack([i, j, 0 * i + at], axis=1)[: at - 1], [[0, at, at + 1]]])
+    walls = [np.stack([i, j, count + j], axis=1), np.stack([i, count + j, count + i], axis=1)]
+    rough = TriangleMesh(
+        np.concatenate([np.insert(outline, 1, y, axis=1) for y in (0.0, 1.0)]),
+        np.concatenate([*walls, cap[:, ::-1], count + cap]),
+    )
+    flat = box((0.5, 1.0, height), center=(-0.25, 0.5, 0.5 * height))
+    assert not Surface(flat, device="cpu")._has_facing(Surface(rough, device="cpu"), 2.5e-6)
+    both = union(flat, rough)
+    report = audit(both)
+    assert (report.component_count, report.watertight, report.oriented) == (1, True, True)
+    assert report.signed_volume == pytest.approx(flat.volume + rough.volume, rel=0.02)
+    # The wall and the teeth are gone.
+    assert both.area == pytest.approx(flat.area + rough.area - (1.0 + 2.0**0.5) * height, abs=0.3 * height)
 
 
 def test_bodies_that_are_inside_out_are_turned_first() -> None:
