@@ -8,6 +8,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -41,6 +42,15 @@ class _Damaged(Exception):
     pass
 
 
+@contextmanager
+def _damage_named(where: str, codec: str) -> Iterator[None]:
+    try:
+        yield
+    except (_Damaged, zlib.error, struct.error) as error:
+        message = f"{where}: the {codec} data is damaged ({error}); get the file again from its source"
+        raise FileFormatError(message) from None
+
+
 def largest_size(stored: int) -> int:
     """Largest size to which ``stored`` compressed bytes of a valid file can decompress."""
     return LARGEST_RATIO * stored + PIECE
@@ -59,12 +69,10 @@ def decompress(codec: str, stored: memoryview, out: NDArray[np.uint8], where: st
         FileFormatError: The bytes do not decompress to exactly ``out``.
         MissingDependencyError: Blosc is not installed.
     """
-    try:
+    with _damage_named(where, codec):
         written = _decompress(codec, stored, out)
-    except (_Damaged, zlib.error, struct.error) as error:
-        raise _refusal(where, codec, str(error)) from None
-    if written != len(out):
-        raise _refusal(where, codec, f"it holds {written} bytes of {len(out)}")
+        if written != len(out):
+            raise _Damaged(f"it holds {written} bytes of {len(out)}")
 
 
 def decompress_head(codec: str, fetch: Fetch, stored: int, size: int, where: str) -> NDArray[np.uint8]:
@@ -81,15 +89,13 @@ def decompress_head(codec: str, fetch: Fetch, stored: int, size: int, where: str
         FileFormatError: The bytes do not decompress.
         MissingDependencyError: Blosc is not installed.
     """
-    try:
+    with _damage_named(where, codec):
         if codec == "none":
             head = fetch(0, min(size, stored))
         elif codec == "zip":
             head = zlib.decompressobj().decompress(fetch(8, min(stored - 8, PIECE)) if stored > 8 else b"", size)
         else:
             head = _blosc_first_block(fetch, stored)[:size]
-    except (_Damaged, zlib.error, struct.error) as error:
-        raise _refusal(where, codec, str(error)) from None
     # The copy is aligned, so that the headers may be read as records.
     return np.frombuffer(head, np.uint8).copy()
 
@@ -148,10 +154,6 @@ def _frames(parts: Sequence[NDArray[np.uint8]]) -> Iterator[NDArray[np.uint8]]:
 def _blosc_pack(frame: NDArray[np.uint8]) -> bytes:
     blosc = _blosc()
     return blosc.compress(frame.data, typesize=BLOSC_TYPE_SIZE, clevel=BLOSC_LEVEL, shuffle=blosc.SHUFFLE, cname="lz4")
-
-
-def _refusal(where: str, codec: str, detail: str) -> FileFormatError:
-    return FileFormatError(f"{where}: the {codec} data is damaged ({detail}); get the file again from its source")
 
 
 def _blosc() -> Any:
