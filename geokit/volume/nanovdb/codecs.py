@@ -125,9 +125,10 @@ def compress_into(codec: str, parts: Sequence[NDArray[np.uint8]], file: BinaryIO
         file.write(struct.pack("<Q", sum(map(len, packed))))
         file.writelines(packed)
         return 8 + sum(map(len, packed))
-    total = 0
+    total, blosc = 0, _blosc()
+    how = {"typesize": BLOSC_TYPE_SIZE, "clevel": BLOSC_LEVEL, "shuffle": blosc.SHUFFLE, "cname": "lz4"}
     for frame in _frames(parts):
-        stored = _blosc_pack(frame)
+        stored = blosc.compress(frame.data, **how)
         file.write(struct.pack("<Q", len(stored)))
         file.write(stored)
         total += 8 + len(stored)
@@ -149,11 +150,6 @@ def _frames(parts: Sequence[NDArray[np.uint8]]) -> Iterator[NDArray[np.uint8]]:
                 room, gathered = BLOSC_FRAME, []
     if gathered:
         yield np.concatenate(gathered)
-
-
-def _blosc_pack(frame: NDArray[np.uint8]) -> bytes:
-    blosc = _blosc()
-    return blosc.compress(frame.data, typesize=BLOSC_TYPE_SIZE, clevel=BLOSC_LEVEL, shuffle=blosc.SHUFFLE, cname="lz4")
 
 
 def _blosc() -> Any:

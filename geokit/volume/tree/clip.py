@@ -127,18 +127,14 @@ def _side_of(
     Rounded sums and products are monotonic too. So a result for the corners, computed as for single voxels, holds for
     all voxels between them.
     """
-    worlds = _world_of(corners[:, None].astype(np.float64) + CORNERS * (span - 1), transform)
+    voxels = np.moveaxis(corners[:, None].astype(np.float64) + CORNERS * (span - 1), -1, 0)
+    worlds = [m[0] * voxels[0] + m[1] * voxels[1] + m[2] * voxels[2] + m[3] for m in transform[:3]]
     inside = np.ones(len(corners), np.bool_)
     outside = np.zeros(len(corners), np.bool_)
     for world, low, high in zip(worlds, *box, strict=True):
         inside &= ((world >= low) & (world <= high)).all(axis=1)
         outside |= (world < low).all(axis=1) | (world > high).all(axis=1)
     return np.where(inside, 1, np.where(outside, -1, 0)).astype(np.int8)
-
-
-def _world_of(voxels: NDArray[np.float64], transform: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """World coordinates of voxels (..., 3), one array per axis."""
-    return [m[0] * voxels[..., 0] + m[1] * voxels[..., 1] + m[2] * voxels[..., 2] + m[3] for m in transform[:3]]
 
 
 def _leaves_inside(tree: TypedTree, transform: NDArray[np.float64], box: NDArray[np.float64]) -> TypedTree:
