@@ -71,8 +71,8 @@ class _Cut(NamedTuple):
 
     def cut_tiles(self, width: int, span: int) -> Nodes:
         """The tiles in the slots that are cut."""
-        origins = _slot_corners(self.nodes.origins, width, span)
-        return Nodes(origins[self.cut], self.nodes.values[self.cut], self.nodes.active[self.cut])
+        nodes, cut = self
+        return Nodes(nodes.corners(cut, width, span), nodes.values[cut], nodes.active[cut])
 
 
 def _masked(
@@ -84,9 +84,7 @@ def _masked(
     values, active = nodes.values.copy(), nodes.active.copy()
     told = active | differs(values, background)
     side = np.ones(told.shape, np.int8)
-    node, slot = np.nonzero(told)
-    corners = _slot_corners(nodes.origins, width, span)[node, slot]
-    side[node, slot] = _side_of(corners, span, transform, box)
+    side[told] = _side_of(nodes.corners(told, width, span), span, transform, box)
     outside = side < 0
     values[outside], active[outside] = background, False
     return _Cut(Nodes(nodes.origins, values, active), side == 0)
@@ -112,11 +110,6 @@ def _joined(parts: list[_Cut], background: NDArray[Any]) -> Nodes:
         some = (nodes.active | differs(nodes.values, background)).any(axis=1)
         found.append(nodes.rows(some))
     return Nodes.joined(found) if found else parts[0].nodes
-
-
-def _slot_corners(origins: NDArray[np.int32], width: int, span: int) -> NDArray[np.int32]:
-    steps = np.stack(np.unravel_index(np.arange(width**3), 3 * (width,)), axis=1).astype(np.int32) * span
-    return np.asarray(origins[:, None] + steps)
 
 
 def _side_of(

@@ -51,6 +51,11 @@ class Nodes(NamedTuple):
         """Select nodes by a mask or by indices."""
         return Nodes(self.origins[kept], self.values[kept], self.active[kept])
 
+    def corners(self, slots: NDArray[np.bool_], width: int, span: int) -> NDArray[np.int32]:
+        """First voxels of the slots in a mask (N, slots), of nodes of ``width``^3 slots of ``span``^3 voxels."""
+        node, slot = np.nonzero(slots)
+        return self.origins[node] + np.int32(span) * slot_places(slot, width)
+
     @staticmethod
     def none(layout: GridLayout, *slots: int) -> Nodes:
         """No nodes."""
@@ -164,8 +169,8 @@ def voxelized_tree(tree: TypedTree, name: str) -> TypedTree:
         return tree
     sources = (
         (tree.root.origins[tree.root.active], tree.root.values[tree.root.active], 512),
-        (*_active_tiles(tree.upper, 32, 128), 16),
-        (*_active_tiles(tree.lower, 16, 8), 1),
+        (tree.upper.corners(tree.upper.active, 32, 128), tree.upper.values[tree.upper.active], 16),
+        (tree.lower.corners(tree.lower.active, 16, 8), tree.lower.values[tree.lower.active], 1),
     )
     count = sum(len(origins) * width**3 for origins, _, width in sources)
     # The leaves in the tree, in the new grid, and in one copy during the conversion.
@@ -221,12 +226,6 @@ def rows_in(table: NDArray[np.int32], wanted: NDArray[np.int32]) -> NDArray[np.i
     row = np.full(len(both), -1)
     row[number.reshape(-1)[: len(table)]] = np.arange(len(table))
     return row[number.reshape(-1)[len(table) :]]
-
-
-def _active_tiles(nodes: Nodes, width: int, span: int) -> tuple[NDArray[np.int32], NDArray[Any]]:
-    """Corners and values of the active tiles of nodes."""
-    node, slot = np.nonzero(nodes.active)
-    return nodes.origins[node] + span * slot_places(slot, width), nodes.values[node, slot]
 
 
 def _without_active(nodes: Nodes, background: NDArray[Any]) -> Nodes:
