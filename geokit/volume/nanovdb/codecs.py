@@ -9,7 +9,7 @@ import struct
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,7 +125,7 @@ def compress_into(codec: str, parts: Sequence[NDArray[np.uint8]], file: BinaryIO
         file.write(struct.pack("<Q", sum(map(len, packed))))
         file.writelines(packed)
         return 8 + sum(map(len, packed))
-    total, blosc = 0, _blosc()
+    total, blosc = 0, require_package("blosc")
     how = {"typesize": BLOSC_TYPE_SIZE, "clevel": BLOSC_LEVEL, "shuffle": blosc.SHUFFLE, "cname": "lz4"}
     for frame in _frames(parts):
         stored = blosc.compress(frame.data, **how)
@@ -150,10 +150,6 @@ def _frames(parts: Sequence[NDArray[np.uint8]]) -> Iterator[NDArray[np.uint8]]:
                 room, gathered = BLOSC_FRAME, []
     if gathered:
         yield np.concatenate(gathered)
-
-
-def _blosc() -> Any:
-    return require_package("blosc")
 
 
 def _length_prefixed(stored: memoryview, start: int) -> memoryview:
@@ -213,7 +209,7 @@ def _blosc_frame(frame: memoryview, out: NDArray[np.uint8]) -> int:
     size = _blosc_size(frame)
     if size != len(out):
         raise _Damaged(f"a Blosc frame holds {size} bytes where {len(out)} belong")
-    blosc = _blosc()
+    blosc = require_package("blosc")
     data = bytes(frame)
     if not blosc.cbuffer_validate(data):
         raise _Damaged("a Blosc frame is not valid")
