@@ -341,7 +341,8 @@ def _mesh_to_volume(job: _Job, storage: Storage) -> dict[str, Any]:
         reading.result = f"{len(mesh.faces)} faces"
     if voxel_size is None and storage.tolerance is None:
         longest = float((mesh.bounds[1] - mesh.bounds[0]).max())
-        voxel_size = _rounded(longest / DEFAULT_RESOLUTION)
+        # Two significant digits are easy to type again.
+        voxel_size = float(f"{longest / DEFAULT_RESOLUTION:.1e}")
         if not job.quiet:
             note(f"voxel size {voxel_size:g}, about {DEFAULT_RESOLUTION} along the longest side; --voxel-size sets it")
     with job.step("voxelising") as voxelising:
@@ -418,11 +419,6 @@ def _streamed_cloud(job: _Job) -> dict[str, Any]:
     if found.left_out_count and not job.quiet:
         note(f"{job.source}: {found.left_out_count} of its {found.read_count} points are not finite and were left out")
     return {"points": found.written_count}
-
-
-def _rounded(length: float) -> float:
-    """Round to two significant digits, so that the voxel size is easy to type again."""
-    return float(f"{length:.1e}")
 
 
 def _volume_to_volume(job: _Job, storage: Storage) -> dict[str, Any]:

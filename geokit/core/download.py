@@ -23,7 +23,7 @@ from geokit.core.running.thread_placement import Calls
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["download", "download_into", "release"]
+__all__ = ["bytes_of", "download", "download_into", "release"]
 
 # Size of each of the two halves of the staging memory: the bus fills one half while threads empty the other. The
 # 32 MiB of pinned memory are kept from the first large download on.
@@ -80,7 +80,7 @@ def download_into(target: np.ndarray, array: "wp.array") -> None:
     memory = target.reshape(-1).view(np.uint8)
     for start in range(0, len(memory), LARGEST_COPY):
         part = memory[start : start + LARGEST_COPY]
-        wp.copy(wp.array(part, dtype=wp.uint8, device="cpu", copy=False), _bytes_of(array, start, len(part)))
+        wp.copy(wp.array(part, dtype=wp.uint8, device="cpu", copy=False), bytes_of(array, start, len(part)))
     wp.synchronize_device(array.device)  # the copy is asynchronous
 
 
@@ -116,7 +116,7 @@ def _download_pooled(arrays: tuple["wp.array", ...], pool: MemoryPool) -> list[n
     if len(results) < len(arrays):
         return None
     for array, (result, memory) in zip(arrays, results, strict=True):
-        wp.copy(memory, _bytes_of(array, 0, result.nbytes), count=result.nbytes)
+        wp.copy(memory, bytes_of(array, 0, result.nbytes), count=result.nbytes)
     if arrays[0].device.is_cuda:
         wp.synchronize_stream(arrays[0].device.stream)
     return [result for result, _ in results]
@@ -187,7 +187,7 @@ class _Half:
 
         at = 0
         for number, start, size in pieces:
-            wp.copy(self._memory, _bytes_of(arrays[number], start, size), at, 0, size)
+            wp.copy(self._memory, bytes_of(arrays[number], start, size), at, 0, size)
             self._parts.append((results[number].reshape(-1).view(np.uint8)[start : start + size], at))
             at += size
         if self._filled is not None:
@@ -240,11 +240,11 @@ def _pieces(sizes: list[int]) -> Iterator[list[tuple[int, int, int]]]:
         yield pieces
 
 
-def _bytes_of(array: "wp.array", start: int, size: int) -> "wp.array":
+def bytes_of(array: "wp.array", start: int, size: int) -> "wp.array":
     """View ``size`` bytes of a contiguous array; the whole may exceed warp's limit of 2^31 elements."""
     import warp as wp
 
-    return wp.array(ptr=array.ptr + start, dtype=wp.uint8, shape=(size,), device=array.device)
+    return wp.array(ptr=int(array.ptr or 0) + start, dtype=wp.uint8, shape=(size,), device=array.device)
 
 
 def _empty_like(array: "wp.array") -> np.ndarray:

@@ -36,7 +36,8 @@ def merge_equal_rows(rows: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     # Sorting a hash of each row is three times faster than np.lexsort and twenty times faster than np.unique(axis=0).
     mixed = _mixed(keys)
-    if count > 1 and not _any_equal(mixed):
+    in_order = np.sort(mixed)
+    if count > 1 and (in_order[1:] != in_order[:-1]).all():
         # No two rows are equal, as in most indexed meshes. Sorting values alone is four times faster than argsort.
         rows_in_order = np.arange(count)
         return rows_in_order, rows_in_order.copy()
@@ -108,11 +109,6 @@ def _mixed(keys: NDArray[np.uint64]) -> NDArray[np.uint64]:
         mixed ^= key
     mixed ^= mixed >> np.uint64(32)
     return mixed
-
-
-def _any_equal(values: NDArray[np.uint64]) -> bool:
-    ordered = np.sort(values)
-    return bool(np.any(ordered[1:] == ordered[:-1]))
 
 
 def _steps(rows: NDArray[np.uint64]) -> NDArray[np.bool_]:

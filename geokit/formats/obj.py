@@ -80,16 +80,8 @@ def _text(path: Path) -> bytes:
 
 def _lines(data: bytes) -> _Lines:
     data = data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
-    vertices: list[bytes] = []
-    faces: list[bytes] = []
-    vertices_before: list[int] = []
-    starts: list[tuple[str, int]] = []
-    uv: list[bytes] = []
-    normal: list[bytes] = []
-    materials: list[tuple[str, int]] = []
-    libraries: list[str] = []
-    unknown: list[bytes] = []
-    others: Counter[bytes] = Counter()
+    found = _Lines([], [], [], [], [], [], [], [], [], Counter())
+    vertices, faces, vertices_before, starts, uv, normal, materials, libraries, unknown, others = found
     # splitlines also splits at form feeds and other bytes that text may contain; OBJ lines end at newlines only.
     for line in data.replace(b"\r", b"\n").replace(b"\t", b" ").split(b"\n"):
         kind, _, rest = line.strip().partition(b" ")
@@ -115,7 +107,7 @@ def _lines(data: bytes) -> _Lines:
                 return _lines(_KEYWORD.sub(lambda word: word[0].lower(), data))
             if kind.lower() not in _LEFT_OUT:
                 unknown.append(line)
-    return _Lines(vertices, faces, vertices_before, starts, uv, normal, materials, libraries, unknown, others)
+    return found
 
 
 def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:

@@ -18,6 +18,7 @@ from geokit.core.files import refuse_pointer
 from geokit.errors import FileFormatError
 from geokit.formats.attributes import gltf
 from geokit.formats.attributes.columns import utf8
+from geokit.formats.attributes.gltf import holds_texture, holds_type
 from geokit.formats.file_content.body import Body, FileMaterial
 from geokit.formats.file_content.references import LONGEST, require_inside
 from geokit.formats.scene_content.gltf import is_animated, opened
@@ -180,16 +181,6 @@ def _pose(
         rounded, pose = pose, np.eye(4)
         pose[:3, :3], pose[:3, 3] = before @ after, rounded[:3, 3]
     return None if np.array_equal(pose, np.eye(4)) else pose
-
-
-def holds_type(values: np.ndarray, _kind: str) -> bool:
-    """As glTF does."""
-    return gltf.holds_type(values)
-
-
-def holds_texture(data: bytes) -> bool:
-    """As glTF does."""
-    return gltf.holds_texture(data)
 
 
 def write_mesh(path: Path, mesh: TriangleMesh) -> None:

@@ -132,19 +132,14 @@ ZARR = ("zarr.json", ".zgroup", ".zarray")
 _ARRAYS: Any = {"vertex": "*", "face": "*"}
 # Parts, simulations and surveys stand on the xy plane, characters and scenes on the xz plane.
 _Z: Any = {"up": "z"}
-_GLTF: Any = {
-    "mesh": "rw", "vertex": "*", "materials": True, "default_unit": "meter", "fixed_up": "y", "float32": True,
-    "process": True, "references": True,
-}  # fmt: skip
-_USD: Any = {
-    "corner": "*",
-    "materials": True,
-    "unit": True,
-    "float32": True,
-    "process": True,
-    "references": True,
-    "extra": "usd",
-}
+_GLTF = Format(
+    "scenes", mesh="rw", vertex="*", materials=True, default_unit="meter", fixed_up="y", float32=True, process=True,
+    references=True,
+)  # fmt: skip
+_USD = Format(
+    "usd", mesh="rw", volume="rw", **_ARRAYS, corner="*", materials=True, unit=True, float32=True, process=True,
+    references=True, extra="usd",
+)  # fmt: skip
 
 FORMATS: dict[str, Format] = {
     # geokit's own readers and writers.
@@ -155,8 +150,7 @@ FORMATS: dict[str, Format] = {
     ".stl": Format("stl", mesh="rw", float32=True, **_Z),
     ".off": Format("off", mesh="rw", vertex="normal uv color", face="color"),
     # geokit's own readers, whose content a small file can multiply; trimesh writes .glb without attributes.
-    ".glb": Format("scenes", **_GLTF),
-    ".gltf": Format("scenes", **_GLTF),
+    **dict.fromkeys((".glb", ".gltf"), _GLTF),
     ".3mf": Format(
         "exchange.three_mf", mesh="rw", unit=True, default_unit="millimeter", fixed_up="z", process=True, **_Z
     ),
@@ -177,23 +171,18 @@ FORMATS: dict[str, Format] = {
         Format("exchange.cad", mesh="r", process=True, extra="cad", curved=True, **_Z),
     ),
     # usd-core
-    ".usd": Format("usd", mesh="rw", volume="rw", **_ARRAYS, **_USD),
-    ".usda": Format("usd", mesh="rw", volume="rw", **_ARRAYS, **_USD),
-    ".usdc": Format("usd", mesh="rw", volume="rw", **_ARRAYS, **_USD),
-    ".usdz": Format("usd", mesh="rw", volume="rw", **_ARRAYS, **_USD),
+    **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), _USD),
     # geokit's own readers and writers of points.
     ".pcd": Format("pcd", points="rw", encodings=("binary", "ascii", "binary_compressed"), single=True, **_Z),
     ".pts": Format("pts", points="rw", limited=True, arrays=("intensity", "rgb"), **_Z),
     # laspy. Only compressed content, under either extension, is read in a separate process.
-    ".las": Format("las", points="rw", process=True, extra="las", limited=True, **_Z),
-    ".laz": Format("las", points="rw", process=True, extra="las", limited=True, **_Z),
+    **dict.fromkeys((".las", ".laz"), Format("las", points="rw", process=True, extra="las", limited=True, **_Z)),
     # pye57
     ".e57": Format("e57", points="r", process=True, extra="e57", **_Z),
     # Sweeps of KITTI and nuScenes, without a header.
     ".bin": Format("kitti", points="r", **_Z),
     # Tables.
-    ".xyz": Format("text", points="rw", rays="r", **_Z),
-    ".csv": Format("text", points="rw", rays="r", **_Z),
+    **dict.fromkeys((".xyz", ".csv"), Format("text", points="rw", rays="r", **_Z)),
     ".txt": Format("text", points="r", rays="r", **_Z),
     ".npy": Format("numpy_files", points="r", rays="r", volume="rw", image="numpy_image", **_Z),
     ".npz": Format("numpy_files", points="rw", rays="r", **_Z),
@@ -201,16 +190,14 @@ FORMATS: dict[str, Format] = {
     ".vdb": Format("", points="rw", volume="rw", limited=True),
     ".nvdb": Format("", volume="rw"),
     # Dense volumes: nibabel, pynrrd, geokit's own readers, mrcfile, tifffile, pydicom, zarr, VTK.
-    ".nii": Format("", volume="rw", image="nifti", extra="medical", **_Z),
-    ".nii.gz": Format("", volume="rw", image="nifti", extra="medical", **_Z),
+    **dict.fromkeys((".nii", ".nii.gz"), Format("", volume="rw", image="nifti", extra="medical", **_Z)),
     ".nrrd": Format("", volume="rw", image="nrrd", extra="medical", **_Z),
     ".nhdr": Format("", volume="r", image="nrrd", extra="medical", **_Z),
     ".mhd": Format("", volume="rw", image="meta_image", references=True, **_Z),
     ".mha": Format("", volume="rw", image="meta_image", **_Z),
     ".mrc": Format("", volume="rw", image="mrc", default_unit="angstrom", extra="imaging", **_Z),
     ".map": Format("", volume="rw", image="mrc", default_unit="angstrom", extra="imaging", **_Z),
-    ".tif": Format("", volume="rw", image="tiff", extra="imaging", **_Z),
-    ".tiff": Format("", volume="rw", image="tiff", extra="imaging", **_Z),
+    **dict.fromkeys((".tif", ".tiff"), Format("", volume="rw", image="tiff", extra="imaging", **_Z)),
     ".dcm": Format("", volume="r", image="dicom", extra="medical", **_Z),
     ".zarr": Format("", volume="rw", image="zarr_image", extra="imaging", **_Z),
     ".vox": Format("", volume="r", image="vox", **_Z),

@@ -119,7 +119,7 @@ def _read_table(path: Path) -> _Table:
     named: Literal["header", "comment", ""] = ""
     # Only the lines above the numbers are parsed here.
     while at < len(data):
-        end = _line_end(data, at)
+        end = data.find(b"\n", at) + 1 or len(data)
         line = decoded(data[at:end], at, path).strip(" \r\n\f\v")
         words = _words(line.lstrip("#/%! "))
         if line.startswith(_REMARKS):
@@ -270,11 +270,6 @@ def _named_columns(table: _Table, places: tuple[int, int, int], path: Path) -> C
             # Columns that are not chosen may have the names of those that are.
             columns[f"{names[at]}_" if names[at] in AXES else names[at]] = cells.values[:, at]
     return columns
-
-
-def _line_end(data: bytes, start: int) -> int:
-    end = data.find(b"\n", start)
-    return len(data) if end < 0 else end + 1
 
 
 # Excel's first line, which names what separates the cells below it.

@@ -11,6 +11,7 @@ from geokit._packages import require_package
 from geokit.errors import FileAccessError, FileFormatError
 from geokit.formats import usd
 from geokit.formats.file_content.references import LONGEST, require_inside
+from geokit.formats.scene_content.usd_times import value_of
 
 __all__ = ["NewField", "prepare", "read_grids", "write_stage"]
 
@@ -61,7 +62,7 @@ def read_grids(path: Path, folders: list[str]) -> tuple[dict[str, Any], list[tup
                     notes.append(f"field {name} is no {ASSET}, left out")
                     continue
                 file, inner = _file(asset, path, allowed)
-                grid = _value(asset, "fieldName")
+                grid = value_of(asset.GetAttribute("fieldName"))
                 # USD multiplies row vectors from the left.
                 matrix = transforms.GetLocalToWorldTransform(asset)
                 columns = [[float(matrix[column][row]) for column in range(4)] for row in range(4)]
@@ -88,20 +89,11 @@ def read_grids(path: Path, folders: list[str]) -> tuple[dict[str, Any], list[tup
     return facts, packed
 
 
-def _value(prim: Any, name: str) -> Any:
-    """An attribute at the default time, or at its first sample if there are only samples."""
-    from pxr import Usd
-
-    attribute = prim.GetAttribute(name)
-    found = attribute.Get()
-    return attribute.Get(Usd.TimeCode.EarliestTime()) if found is None else found
-
-
 def _file(asset: Any, path: Path, folders: list[Path]) -> tuple[Path, str]:
     """The file of a field, and its name in it if that is a .usdz."""
     from pxr import Ar
 
-    given = _value(asset, "filePath")
+    given = value_of(asset.GetAttribute("filePath"))
     if given is None or not given.path:
         raise FileFormatError(f"{path}: {asset.GetPath()} names no file; set its filePath")
     # What USD does not find has no resolved path.

@@ -174,14 +174,9 @@ def _without_pointers(message: str) -> str:
     ]
 
 
-def _error_name(code: int) -> str:
-    from vtkmodules.vtkCommonMisc import vtkErrorCode
-
-    return str(vtkErrorCode.GetStringFromErrorCode(code))
-
-
 def _data_set(path: Path) -> Any:
     from vtkmodules import vtkIOLegacy, vtkIOXML
+    from vtkmodules.vtkCommonMisc import vtkErrorCode
 
     reader: Any
     kind = path.suffix.lower()
@@ -199,7 +194,8 @@ def _data_set(path: Path) -> Any:
     reader.SetFileName(os.fsencode(path))
     reader.Update()
     if reader.GetErrorCode():
-        raise damaged(path, f"cannot be read (VTK: {_error_name(reader.GetErrorCode())})")
+        reason = vtkErrorCode.GetStringFromErrorCode(reader.GetErrorCode())
+        raise damaged(path, f"cannot be read (VTK: {reason})")
     return reader.GetOutput()
 
 

@@ -119,7 +119,7 @@ class _CloudTarget(Target):
     def pairs(self, moved: "wp.array", max_distance: float) -> Pairs:
         import warp as wp
 
-        from geokit.points.clouds.register_kernels import cloud_partner_kernel, limit_kernel
+        from geokit.points.clouds.register_kernels import limit_kernel, partner_kernel
 
         limit: Any = max_distance * max_distance
         if self._partner is not None:
@@ -130,8 +130,8 @@ class _CloudTarget(Target):
         _, indices = nearest(self._tree, 1, moved, limit_squared=limit)
         self._partner = indices.flatten()
         room = self.room(len(moved))
-        inputs = [self._partner, self._points, self._normals]
-        launcher.launch(cloud_partner_kernel, len(moved), inputs, [*room], self.device)
+        inputs = [self._partner, self._points, self._normals, False]
+        launcher.launch(partner_kernel, len(moved), inputs, [*room], self.device)
         return room
 
     def tilts(self, moved: "wp.array", pairs: Pairs) -> tuple[Pairs, "wp.array"] | None:
@@ -148,8 +148,8 @@ class _CloudTarget(Target):
         if not self._wants_normals:
             if not len(self._normals):
                 self._estimate_normals()
-            inputs = [self._partner, self._points, self._normals]
-            launcher.launch(kernels.cloud_partner_kernel, len(moved), inputs, [*pairs], self.device)
+            inputs = [self._partner, self._points, self._normals, False]
+            launcher.launch(kernels.partner_kernel, len(moved), inputs, [*pairs], self.device)
         tilt = wp.empty(len(moved), dtype=wp.float64, device=self.device)
         inputs = [moved, self._points, self._normals, around]
         launcher.launch(kernels.tilt_kernel, len(moved), inputs, [tilt], self.device)
@@ -178,12 +178,12 @@ class _SurfaceTarget(Target):
         self._normals = wp.array(normals, dtype=wp.vec3d, device=self.device)
 
     def pairs(self, moved: "wp.array", max_distance: float) -> Pairs:
-        from geokit.points.clouds.register_kernels import surface_partner_kernel
+        from geokit.points.clouds.register_kernels import partner_kernel
 
         found = self._surface.closest_point(moved, max_distance=max_distance)
         room = self.room(len(moved))
-        inputs = [found.points, found.triangle_id, self._normals]
-        launcher.launch(surface_partner_kernel, len(moved), inputs, [*room], self.device)
+        inputs = [found.triangle_id, found.points, self._normals, True]
+        launcher.launch(partner_kernel, len(moved), inputs, [*room], self.device)
         return room
 
 

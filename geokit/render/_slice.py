@@ -111,7 +111,8 @@ def slice_figure(
     figure, (panel,) = new_axes((width, height), 1)
     figure.set_layout_engine("compressed")  # the plane keeps its shape, and the bar stands beside it
     placed: dict[str, Any] = {"origin": "lower", "extent": (u[0], u[-1], v[0], v[-1])}
-    beyond = _beyond_band(values, volume.info.background) if signed else np.zeros(values.shape, dtype=bool)
+    # Beyond the narrow band a level set only holds the sign; no number is beyond NaN.
+    beyond = np.abs(values) >= (abs(float(volume.info.background)) * BAND_EDGE if signed else np.nan)
     drawn = panel.imshow(
         np.ma.array(values, mask=beyond),
         cmap=DIVERGING if signed else SEQUENTIAL,
@@ -127,11 +128,6 @@ def slice_figure(
     panel.set(xlabel=AXES[right], ylabel=AXES[up], title=title or f"{name} at {axis} = {where:.4g}")
     figure.colorbar(drawn, ax=panel, label=label or shown)
     return save_figure(figure, target)
-
-
-def _beyond_band(values: Any, background: Any) -> Any:
-    """Whether each sample is beyond the narrow band, where a level set only holds the sign."""
-    return np.abs(values) >= abs(float(background)) * BAND_EDGE
 
 
 def _samples(u_bounds: Any, v_bounds: Any, width: int, height: int) -> tuple[Any, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import json
 import os
 import sys
 import tempfile
@@ -10,7 +11,7 @@ import webbrowser
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from geokit.core import launcher
 from geokit.core.files import atomic_path, require_extension
@@ -21,6 +22,9 @@ from geokit.errors import InputError
 from geokit.render._camera import UP
 from geokit.render.looks.checks import SEQUENTIAL, checked_colormap, checked_label
 
+if TYPE_CHECKING:
+    from geokit.render.viewer.arrays import Arrays
+
 __all__ = ["Page", "open_in_browser", "show", "temporary_path", "view"]
 
 # 256^3: 32 MiB in the browser, and a texture that phones take.
@@ -29,6 +33,9 @@ MAX_VOXELS = 1 << 24
 FEWEST_VOXELS = 1 << 12
 # Of the frame in a notebook [pixels].
 NOTEBOOK_HEIGHT = 520
+# Scripts of a page: one scope, in this order.
+SCRIPTS = ("data", "camera", "programs", "surfaces", "volumes", "picking", "panel", "viewer")
+_VIEWER = Path(__file__).parent / "viewer"
 
 
 @dataclass(frozen=True)
@@ -106,7 +113,6 @@ def view(
         UnsupportedGridError: A grid stores points, or indices without a channel.
     """
     from geokit.render.viewer.arrays import Arrays
-    from geokit.render.viewer.page import page_text
     from geokit.render.viewer.scene import read_thing, scene_record
 
     target = None
@@ -133,7 +139,7 @@ def view(
     arrays = Arrays()
     options: dict[str, Any] = {"title": title, "colormap": colormap, "up": up}
     scene = scene_record(found, labels, arrays, **options, max_voxels=max_voxels, device=device)
-    text = page_text(scene, arrays, title)
+    text = _page_text(scene, arrays, title)
     if target is not None:
         with atomic_path(target) as part:
             part.write_text(text, encoding="ascii")
@@ -175,3 +181,36 @@ def open_in_browser(page: Page) -> bool:
 def _in_notebook() -> bool:
     shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
     return shell is not None and hasattr(shell, "kernel")
+
+
+def _page_text(scene: dict[str, Any], arrays: Arrays, title: str) -> str:
+    """The page, all of it ASCII: a text of one byte a character, and safe in any encoding.
+
+    Args:
+        scene: The scene, as JSON can hold it.
+        arrays: The arrays that it names.
+        title: The page's title.
+    """
+    script = "\n".join(_read(f"{name}.js") for name in SCRIPTS)
+    # Within a script element "<" could end it.
+    held = json.dumps(scene, allow_nan=False).replace("<", "\\u003c")
+    data = "\n".join(
+        f'<script type="text/plain" id="array-{number}">{text}</script>' for number, text in enumerate(arrays.texts)
+    )
+    parts = {
+        "title": html.escape(title).encode("ascii", "xmlcharrefreplace").decode("ascii"),
+        "style": _read("viewer.css"),
+        "scene": held,
+        "arrays": data,
+        "script": script,
+    }
+    before, *pieces = _read("viewer.html").split("{{")
+    found = [before]
+    for piece in pieces:
+        name, _, rest = piece.partition("}}")
+        found += [parts[name], rest]
+    return "".join(found)
+
+
+def _read(name: str) -> str:
+    return (_VIEWER / name).read_text(encoding="ascii")

@@ -249,7 +249,7 @@ def _distances(
     """Distance [voxels] of each voxel of the tiles, at most the half width, shape (T, 512)."""
     import warp as wp
 
-    from geokit.volume.band.balls_kernels import bound_kernel, count_kernel, distance_kernel, fill_kernel, vec8d
+    from geokit.volume.band.balls_kernels import bound_kernel, distance_kernel, list_kernel, vec8d
 
     total = len(tiles)
     corners = wp.array(tiles, dtype=wp.vec3i, device=device)
@@ -258,9 +258,10 @@ def _distances(
     count = wp.zeros(total, dtype=wp.int32, device=device)
     for balls in classes:
         launcher.launch(bound_kernel, total, [balls.struct, corners], [bound], device, grain=TILE_GRAIN)
+    none = wp.empty(0, dtype=wp.int32, device=device)
     for balls in classes:
         inputs = [balls.struct, corners, bound, band]
-        launcher.launch(count_kernel, total, inputs, [count], device, grain=TILE_GRAIN)
+        launcher.launch(list_kernel, total, inputs, [count, none], device, grain=TILE_GRAIN)
     counts = count.numpy()
     end = np.cumsum(counts, dtype=np.int64)
     if end[-1] > MOST_LISTED and total > 1:
@@ -270,7 +271,7 @@ def _distances(
     listed = wp.empty(max(1, int(end[-1])), dtype=wp.int32, device=device)
     for balls in classes:
         inputs = [balls.struct, corners, bound, band]
-        launcher.launch(fill_kernel, total, inputs, [place, listed], device, grain=TILE_GRAIN)
+        launcher.launch(list_kernel, total, inputs, [place, listed], device, grain=TILE_GRAIN)
     out = wp.empty((total, 64), dtype=vec8d, device=device)
     inputs = [classes[0].struct, corners, place, listed, band]
     launcher.launch(distance_kernel, 64 * total, inputs, [out], device, grain=64 * TILE_GRAIN)

@@ -17,7 +17,7 @@ from geokit.core.require import read_array
 from geokit.errors import InputError
 from geokit.volume.model.sparse_volume import SparseVolume, made_on_device
 from geokit.volume.nanovdb.checks import check_volume, mark_checked
-from geokit.volume.nanovdb.grid_array import copied_grid, uploaded_grid
+from geokit.volume.nanovdb.grid_array import array_of, copied_grid
 from geokit.volume.nanovdb.header import FLAG_HAS_MIN_MAX, aligned_buffer, grid_header
 from geokit.volume.nanovdb.layout import LAYOUTS
 from geokit.volume.nanovdb.nodes import grid_nodes, set_bits, slot_places
@@ -147,7 +147,7 @@ def _on_gpu(volume: SparseVolume, values: "wp.array") -> SparseVolume:
         buffer = volume.nanovdb.copy()
         grid_header(buffer)["flags"] &= ~np.uint32(FLAG_HAS_MIN_MAX)
         places = wp.array(value_places(volume), dtype=wp.int64, device=device)
-        return uploaded_grid(buffer, device), places
+        return copied_grid(array_of(buffer), len(buffer), device), places
 
     source, places = volume._cache.find(("values on", device.alias), template)
     if values.dtype not in REALS:
@@ -156,7 +156,7 @@ def _on_gpu(volume: SparseVolume, values: "wp.array") -> SparseVolume:
     if row >= 0:
         raise InputError(f"values: row {row} is not finite; give finite numbers")
     size = len(volume.nanovdb)
-    buffer = copied_grid(source, size)
+    buffer = copied_grid(source, size, source.device)
     kind = wp.float32 if volume.info.grid_type == "float" else wp.float64
     cells = reinterpreted(buffer, kind, (size // LAYOUTS[volume.info.grid_type].background.itemsize,))
     launcher.launch(WRITE_VALUES[values.dtype, kind], len(values), [places, values], [cells], device)

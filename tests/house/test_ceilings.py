@@ -23,12 +23,12 @@ from tests.house.test_rooms import FORWARDING, PACKAGE, edges
 # to verbs. Annotations of public names with Any.
 MOST_FILES = 26
 CEILINGS = {
-    "lines": 116500,
+    "lines": 116150,
     "files in mesh/bvh": 31,
     "files in mesh/queries": 31,
     "files in native/src": 42,
     "files in points/search": 30,
-    "files in volume/tree": 30,
+    "files in volume/tree": 29,
     "folders in knots": 0,
     "files in import circles": 33,
     "public arguments with Any": 25,

@@ -16,7 +16,7 @@ from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.header import aligned_buffer, grid_class_code, grid_header, info_of, tree_header
 from geokit.volume.nanovdb.layout import layout_of
 from geokit.volume.nanovdb.nodes import GridNodes, bits_of, grid_nodes, slot_places
-from geokit.volume.tree.typed_tree import RootTiles, TypedTree, tree_of
+from geokit.volume.tree.typed_tree import Nodes, TypedTree, tree_of
 from geokit.volume.tree.typed_writer import rebuilt
 from tests.support.effort import of_all
 
@@ -158,7 +158,7 @@ def _root_tiles(*x: int) -> Callable[[TypedTree], TypedTree]:
     def change(tree: TypedTree) -> TypedTree:
         origins = np.array([[4096 * (i + 2), 0, 0] for i in x], np.int32)
         values = np.where(np.array(x) % 2, -tree.background - 1, tree.background).astype(tree.background.dtype)
-        return replace(tree, root=RootTiles(origins, values, np.ones(len(x), np.bool_)))
+        return replace(tree, root=Nodes(origins, values, np.ones(len(x), np.bool_)))
 
     return change
 

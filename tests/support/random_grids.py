@@ -14,7 +14,7 @@ from geokit.volume._dense import from_dense
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.layout import LAYOUTS
 from geokit.volume.nanovdb.nodes import bits_of
-from geokit.volume.tree.typed_tree import Nodes, RootTiles, TypedTree
+from geokit.volume.tree.typed_tree import Nodes, TypedTree
 from geokit.volume.tree.typed_writer import rebuilt
 
 # Voxels of the box that the dense arrays cover: it holds everything but inactive background, with room to grow.
@@ -89,8 +89,8 @@ def random_grid(grid_type: str, seed: int, *, tiles: bool = True, speckles: bool
         np.packbits(active, axis=1, bitorder="little"),
         values,
         Nodes(corners.reshape(-1, 3), slots, states),
-        Nodes(np.empty((0, 3), np.int32), np.empty((0, 32768, *kind.shape), kind.base), np.empty((0, 32768), np.bool_)),
-        RootTiles(np.empty((0, 3), np.int32), np.empty((0, *kind.shape), kind.base), np.empty(0, np.bool_)),
+        Nodes.none(layout, 32768),
+        Nodes.none(layout),
     )
     # NanoVDB has these classes for these types only.
     grid_class = {"float": "fog volume", "double": "fog volume", "vec3f": "staggered", "vec3d": "staggered"}

@@ -71,7 +71,9 @@ def first_hit_charts(setup: MeshSetup) -> list[Chart]:
 
 
 def _trials(setup: MeshSetup) -> Iterator[Trial]:
-    rays = _aimed(setup, _in_box(setup), setup.rows())
+    lower, upper = setup.mesh.bounds
+    targets = np.random.default_rng(SEED + 4).uniform(lower, upper, (setup.count, 3))
+    rays = _aimed(setup, targets, setup.rows())
     judge = partial(_judge, setup, rays, cache(partial(_first, setup, rays)))
     yield from _of_mesh(setup, rays, judge)
     yield from _of_volumes(setup, rays, judge)
@@ -118,11 +120,6 @@ def _aimed(setup: MeshSetup, targets: Floats, rows: NDArray[np.int64]) -> Rays:
     outward = unit(rng.normal(size=targets.shape))
     origins = setup.mesh.bounds.mean(axis=0) + START * setup.size * outward
     return Rays(origins, unit(targets - origins), rows)
-
-
-def _in_box(setup: MeshSetup) -> Floats:
-    lower, upper = setup.mesh.bounds
-    return np.random.default_rng(SEED + 4).uniform(lower, upper, (setup.count, 3))
 
 
 def _on_edges(setup: MeshSetup) -> tuple[Floats, Floats]:

@@ -19,7 +19,7 @@ from geokit.core import launcher
 from geokit.core.base.query import FIRST_ALONE, Query
 from geokit.core.base.snapshot import snapshot
 from geokit.core.blocks.shared_rows import Question
-from geokit.core.gradients.rules import held_by, is_tracked
+from geokit.core.gradients.rules import held_by, is_tracked, is_warp_array
 from geokit.errors import InputError
 
 if TYPE_CHECKING:
@@ -157,15 +157,11 @@ def _rows_of(given: Sequence[Any], rows: int) -> int:
 
 
 def _is_known(value: Any) -> bool:
-    if isinstance(value, np.ndarray):
-        return True
-    torch, warp = sys.modules.get("torch"), sys.modules.get("warp")
-    return (torch is not None and type(value) is torch.Tensor) or (warp is not None and isinstance(value, warp.array))
+    torch = sys.modules.get("torch")
+    return isinstance(value, np.ndarray) or is_warp_array(value) or (torch is not None and type(value) is torch.Tensor)
 
 
 def _is_on_gpu(value: Any) -> bool:
     if isinstance(value, np.ndarray):
         return False
-    warp = sys.modules.get("warp")
-    is_warp = warp is not None and isinstance(value, warp.array)
-    return bool(value.device.is_cuda if is_warp else value.is_cuda)
+    return bool(value.device.is_cuda if is_warp_array(value) else value.is_cuda)

@@ -83,8 +83,7 @@ def of_constants(operation: _Operation) -> _Operation:
 
 def library_of(tensor: Any) -> Any:
     """The library of a tensor (:class:`geokit.core.gradients.library.Library`)."""
-    torch = sys.modules.get("torch")
-    if torch is not None and isinstance(tensor, torch.Tensor):
+    if is_torch_tensor(tensor):
         from geokit.core.gradients import with_torch as library
     else:
         from geokit.core.gradients import with_jax as library  # type: ignore[no-redef]

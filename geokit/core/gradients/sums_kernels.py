@@ -28,14 +28,7 @@ def sum_rows_kernel(
 ):
     """Add the rows of a key one after the other; ``order`` has them by their ascending ``keys``."""
     key = first + wp.tid()
-    low = int(0)
-    high = rows_count
-    while low < high:
-        middle = (low + high) // 2
-        if keys[middle] < key:
-            low = middle + 1
-        else:
-            high = middle
+    low = wp.lower_bound(keys, 0, rows_count + 1, key)
     total = wp.vec3d()
     while low < rows_count and keys[low] == key:
         total += rows[order[low]]

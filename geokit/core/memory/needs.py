@@ -112,7 +112,10 @@ def guarded(
         with _native:
             return function(*args, **kwargs)
     except DeviceMemoryError as error:
-        _restate(error, what, need())
+        # An error of a part of the operation says what the whole needs.
+        if (whole := need()) > error.need:
+            error.need = whole
+            error.args = (f"{error.args[0]} ({what} needs about {whole / 2**20:.0f} MiB in all)",)
         raise
     except Exception as error:
         if isinstance(error, ValueError) and TOO_LONG in str(error):
@@ -242,13 +245,6 @@ def is_out_of_memory(error: BaseException) -> bool:
     # Warp names a library that it cannot load, and the cause says why.
     reason = error.__cause__
     return any(t in str(error).lower() for t in TEXTS) or (reason is not None and is_out_of_memory(reason))
-
-
-def _restate(error: DeviceMemoryError, name: str, need: int) -> None:
-    """Let an error of a part of an operation say what the whole needs."""
-    if need > error.need:
-        error.need = need
-        error.args = (f"{error.args[0]} ({name} needs about {need / 2**20:.0f} MiB in all)",)
 
 
 def _refusal(what: str, need: int, have: int) -> DeviceMemoryError:

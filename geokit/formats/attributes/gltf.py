@@ -121,7 +121,7 @@ def _content(uri: str, get: Callable[[str], bytes]) -> bytes:
     return base64.b64decode(uri.partition(",")[2], validate=True)
 
 
-def holds_type(values: NDArray[Any]) -> bool:
+def holds_type(values: NDArray[Any], _kind: str) -> bool:
     """Whether integers have up to 16 bits, or are float32 as well."""
     return values.dtype.kind not in "iu" or values.dtype.itemsize < 4 or _in_range(values, _LARGEST_EXACT)
 

@@ -147,7 +147,9 @@ def _body(
     indices, counts = [], []
     for primitive in primitives:
         indices.append(np.asarray(primitive.vertex_index).ravel())
-        counts.append(_counts(primitive))
+        # How many corners each polygon has.
+        corners = primitive.vcounts if hasattr(primitive, "vcounts") else np.full(len(primitive), 3)
+        counts.append(np.asarray(corners, np.int64))
         if counts[-1].sum() != len(indices[-1]):
             raise damaged(path, f"declares {counts[-1].sum()} corners and holds {len(indices[-1])}")
     used = np.concatenate(counts)
@@ -161,13 +163,6 @@ def _body(
         polygon_data=polygon if max(materials) >= 0 else {},
         corner_data=_corners(primitives),
     )
-
-
-def _counts(primitive: Any) -> NDArray[np.int64]:
-    """How many corners each polygon has."""
-    if hasattr(primitive, "vcounts"):
-        return np.asarray(primitive.vcounts, np.int64)
-    return np.full(len(primitive), 3, np.int64)
 
 
 def _corners(primitives: list[Any]) -> dict[str, NDArray[np.float64]]:

@@ -307,11 +307,13 @@ def write_mesh(path: Path, mesh: TriangleMesh) -> None:
         names = [name for name, value in _UNITS.items() if np.isclose(meters, value, rtol=1e-9, atol=0.0)]
         unit = names[0] if names else "meter"
         vertices = vertices if names else vertices * meters
+    # Without characters that XML cannot hold.
+    name = "".join(letter if letter.isprintable() else " " for letter in mesh.name or "mesh")
     text = io.StringIO()
     text.write(
         '<?xml version="1.0" encoding="UTF-8"?>\n'
         f'<model unit="{unit}" xml:lang="en-US" xmlns="{_CORE}2015/02">\n<resources>\n'
-        f'<object id="1" type="model" name={quoteattr(_printable(mesh.name or "mesh"))}>\n<mesh>\n<vertices>\n'
+        f'<object id="1" type="model" name={quoteattr(name)}>\n<mesh>\n<vertices>\n'
     )
     text.writelines(f'<vertex x="{x!r}" y="{y!r}" z="{z!r}"/>\n' for x, y, z in vertices.tolist())
     text.write("</vertices>\n<triangles>\n")
@@ -321,11 +323,6 @@ def write_mesh(path: Path, mesh: TriangleMesh) -> None:
         archive.writestr("[Content_Types].xml", _TYPES)
         archive.writestr("_rels/.rels", _RELATIONS)
         archive.writestr(_USUAL, text.getvalue())
-
-
-def _printable(name: str) -> str:
-    """The name without characters that XML cannot hold."""
-    return "".join(letter if letter.isprintable() else " " for letter in name)
 
 
 _TYPES = (

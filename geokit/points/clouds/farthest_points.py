@@ -39,7 +39,7 @@ def farthest_points(points: "wp.array", count: int, start: int) -> tuple["wp.arr
     device: Any = points.device
     n = len(points)
     # Scaled by a power of two to about unit size: nothing is rounded, and no square vanishes or overflows.
-    known = survey(points, _already_finite)
+    known = survey(points)
     exponent = -math.frexp(float((known.upper - known.lower).max()))[1]
     scale = wp.float64(math.ldexp(1.0, max(-MOST_SCALE_BITS, min(MOST_SCALE_BITS, exponent))))
     lower, upper = known.crowd
@@ -70,7 +70,3 @@ def farthest_points(points: "wp.array", count: int, start: int) -> tuple["wp.arr
     taken = wp.empty(count, dtype=wp.vec3d, device=device)
     launcher.launch(GATHER[wp.vec3d], count, [points, indices], [taken], device)
     return taken, indices
-
-
-def _already_finite() -> None:
-    """No operation: non-finite points have been rejected when they were read."""

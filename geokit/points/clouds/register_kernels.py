@@ -73,45 +73,28 @@ def limit_kernel(
 
 
 @wp.kernel
-def cloud_partner_kernel(
+def partner_kernel(
     first: int,
     index: wp.array(dtype=wp.int32),
     points: wp.array(dtype=wp.vec3d),
     normals: wp.array(dtype=wp.vec3d),
+    are_feet: wp.bool,
     out_partner: wp.array(dtype=wp.vec3d),
     out_normal: wp.array(dtype=wp.vec3d),
     out_paired: wp.array(dtype=wp.int32),
 ):
-    """Position and normal of the target point found for each point; a flag says whether there is one."""
+    """Position and normal of the target's point or triangle found for each point; a flag says whether there is one.
+
+    ``are_feet``: ``points`` has the closest point on the surface for each point.
+    """
     i = first + wp.tid()
     j = index[i]
     paired = wp.int32(0)
     if j >= 0:
         paired = wp.int32(1)
-        out_partner[i] = points[j]
+        out_partner[i] = points[wp.where(are_feet, i, j)]
         if normals.shape[0] > 0:
             out_normal[i] = normals[j]
-    out_paired[i] = paired
-
-
-@wp.kernel
-def surface_partner_kernel(
-    first: int,
-    closest: wp.array(dtype=wp.vec3d),
-    triangle_id: wp.array(dtype=wp.int32),
-    normals: wp.array(dtype=wp.vec3d),
-    out_partner: wp.array(dtype=wp.vec3d),
-    out_normal: wp.array(dtype=wp.vec3d),
-    out_paired: wp.array(dtype=wp.int32),
-):
-    """Closest point on a surface, and the normal of its triangle."""
-    i = first + wp.tid()
-    t = triangle_id[i]
-    paired = wp.int32(0)
-    if t >= 0:
-        paired = wp.int32(1)
-        out_partner[i] = closest[i]
-        out_normal[i] = normals[t]
     out_paired[i] = paired
 
 

@@ -54,7 +54,7 @@ def voxel_centroids(points: "wp.array", voxel_size: float) -> tuple["wp.array", 
     from geokit.points.clouds.voxel_centroids_kernels import centroid_kernel
 
     device: Any = points.device
-    known = survey(points, _already_finite)
+    known = survey(points)
     lower, upper = known.lower, known.upper
     require_resolved(lower, upper, voxel_size)
     order = _by_voxel(points, voxel_size, np.floor(lower / voxel_size), np.floor(upper / voxel_size))
@@ -254,7 +254,3 @@ def _sorted_numbers(keys: "wp.array", count: int, key_count: int) -> tuple["wp.a
     launcher.launch(head_kernel, count, [keys], [numbers], device)
     wp.utils.array_scan(numbers, numbers, inclusive=True)
     return order, numbers
-
-
-def _already_finite() -> None:
-    """No operation: non-finite points have been rejected when they were read."""

@@ -206,15 +206,7 @@ def piece_count_kernel(first: int, begin: wp.array(dtype=wp.int32), out_count: w
 @wp.func
 def run_of(piece: wp.int32, piece_end: wp.array(dtype=wp.int32)) -> wp.int32:
     """The run of a piece: the first run whose pieces end after it."""
-    at = wp.int32(0)
-    end = piece_end.shape[0] - 1
-    while at < end:
-        middle = (at + end) // 2
-        if piece_end[middle] <= piece:
-            at = middle + 1
-        else:
-            end = middle
-    return at
+    return wp.lower_bound(piece_end, piece + 1)
 
 
 @wp.func

@@ -832,7 +832,7 @@ class NeighborGrid:
         self._cache.clear()
         self._own = self._other = None
         self._made_images, self._rows = images, images.points
-        self._survey = survey(images.points, lambda: None)
+        self._survey = survey(images.points)
 
     def _read_queries(self, queries: Any, exclude_self: bool) -> tuple[Batch, Any]:
         """Checked queries, and by how many cells they were outside a periodic one, in which they are now."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -102,12 +103,12 @@ class Survey:
         return np.sort(self.sample, axis=1)
 
 
-def survey(points: "wp.array", refuse: Any) -> Survey:
+def survey(points: "wp.array", refuse: Callable[[], Any] | None = None) -> Survey:
     """Bounding box and sample of vec3d or vec3f points [world], in one pass over them.
 
     Args:
         points: The points.
-        refuse: Called if a point is not finite, to raise the error that names it.
+        refuse: Called if a point is not finite, to raise the error that names it; None where all are known to be.
     Raises:
         InputError: The extent of the points overflows float64.
     """
@@ -132,7 +133,7 @@ def survey(points: "wp.array", refuse: Any) -> Survey:
     # Shorter than the time that waking a thread takes.
     launcher.launch(kernels.CONDENSE[points.dtype], max(few, taken), given, [out], device, grain=SAMPLE_SIZE)
     found = out.numpy()
-    if not np.isfinite(found).all():
+    if refuse is not None and not np.isfinite(found).all():
         refuse()
     lower, upper = found[:, :few].min(axis=1), found[:, few : 2 * few].max(axis=1)
     with np.errstate(over="ignore", invalid="ignore"):

@@ -99,7 +99,7 @@ def survey_groups(points: "wp.array", offsets: NDArray[np.int64]) -> Groups:
     lower, upper = (box.numpy().reshape(-1, 3).copy() for box in boxes)
     large = {}
     for group in np.flatnonzero(np.diff(offsets) > LARGE).tolist():
-        large[group] = survey(points[offsets[group] : offsets[group + 1]], lambda: None)
+        large[group] = survey(points[offsets[group] : offsets[group + 1]])
         lower[group], upper[group] = large[group].lower, large[group].upper
     return Groups(offsets, numbers_of(offsets, device), lower, upper, large)
 

@@ -53,13 +53,7 @@ def first_at_or_above(grid: CellGrid, key: wp.int64) -> wp.int32:
     begin = grid.start[bucket]
     # A key at the start of its bucket needs no search; with shift 0 every key is.
     if (key & ((wp.int64(1) << wp.int64(grid.shift)) - wp.int64(1))) != wp.int64(0):
-        end = grid.start[bucket + 1]
-        while begin < end:
-            middle = begin + (end - begin) // 2
-            if grid.key[middle] < key:
-                begin = middle + 1
-            else:
-                end = middle
+        begin = wp.lower_bound(grid.key, begin, grid.start[bucket + 1] + 1, key)
     return begin
 
 

@@ -119,20 +119,6 @@ def is_before(s: wp.vec3i) -> wp.bool:
 
 
 @wp.func
-def first_image(index: wp.array(dtype=wp.int32), begin: wp.int32, end: wp.int32, count: wp.int32) -> wp.int32:
-    """Where the images begin in an ascending row, after all points."""
-    low = begin
-    high = end
-    while low < high:
-        middle = low + (high - low) // 2
-        if index[middle] < count:
-            low = middle + 1
-        else:
-            high = middle
-    return low
-
-
-@wp.func
 def is_image_next(
     point: wp.int32,
     image: wp.int32,
@@ -172,7 +158,8 @@ def list_kernel(
     count = turn.shape[0]
     point = wp.int32(offset[i])
     end = wp.int32(offset[i + 1])
-    points_end = first_image(index, point, end, count)
+    # Where the images begin in the ascending row, after all points.
+    points_end = wp.lower_bound(index, point, end + 1, count)
     image = points_end
     for at in range(wp.int32(offset[i]), end):
         s = wp.vec3i(0, 0, 0)

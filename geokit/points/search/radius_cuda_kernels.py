@@ -192,15 +192,7 @@ def sort_by_distance_kernel(
 @wp.func
 def first_above(offset: wp.array(dtype=wp.int64), index: wp.array(dtype=wp.int32), row: wp.int32, point: wp.int32):
     """Position in an ascending row where the indices above ``point`` begin."""
-    at = wp.int32(offset[row])
-    end = wp.int32(offset[row + 1])
-    while at < end:
-        middle = at + (end - at) // 2
-        if index[middle] <= point:
-            at = middle + 1
-        else:
-            end = middle
-    return at
+    return wp.lower_bound(index, wp.int32(offset[row]), wp.int32(offset[row + 1]) + 1, point + 1)
 
 
 @wp.kernel

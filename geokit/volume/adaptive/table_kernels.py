@@ -31,14 +31,14 @@ class AdaptiveLevels:
     shift: wp.array(dtype=wp.vec3i)
 
 
-@cpp.func_native("volume/adaptive/table.inl")
+@cpp.func_native("volume/sampling/leaf_table.inl")
 def leaf_corner(table: LeafTable, entry: int) -> wp.vec3i:
     """First voxel of the leaf of an entry."""
     ...
 
 
-@cpp.func_native("volume/adaptive/table.inl")
-def is_active(table: LeafTable, i: int, j: int, k: int) -> bool:
+@cpp.func_native("volume/sampling/leaf_table.inl")
+def holds_active(table: LeafTable, i: int, j: int, k: int) -> bool:
     """Whether the voxel (i, j, k) lies in a leaf and is active there."""
     ...
 
@@ -50,12 +50,12 @@ def has_halves(finer: LeafTable, c: wp.vec3i, low: int, high: int) -> bool:
     ``c`` is the first voxel of the first half.
     """
     # At order 1 the middle voxel belongs to this cell alone: if it is not active, the others need no test.
-    if not is_active(finer, c[0] + 1, c[1] + 1, c[2] + 1):
+    if not holds_active(finer, c[0] + 1, c[1] + 1, c[2] + 1):
         return False
     for i in range(low, high + 1):
         for j in range(low, high + 1):
             for k in range(low, high + 1):
-                if not is_active(finer, c[0] + i, c[1] + j, c[2] + k):
+                if not holds_active(finer, c[0] + i, c[1] + j, c[2] + k):
                     return False
     return True
 

@@ -56,17 +56,10 @@ def floor_divide(a: int, b: int) -> int:
 
 @wp.func
 def first_bucket(balls: Balls, x: int, y: int, z: int) -> int:
-    """First bucket whose key is not below that of (x, y, z), else the bucket count; warp has no such lower bound."""
+    """First bucket whose key is not below that of (x, y, z), else the bucket count."""
     key = wp.int64((((wp.uint64(x) << BITS) | wp.uint64(y)) << BITS) | wp.uint64(z))
-    low = int(0)
-    high = balls.keys.shape[0]
-    while low < high:
-        middle = (low + high) // 2
-        if balls.keys[middle] < key:
-            low = middle + 1
-        else:
-            high = middle
-    return low
+    # Warp answers at most the place before the end that it is given, which it does not read.
+    return wp.lower_bound(balls.keys, 0, balls.keys.shape[0] + 1, key)
 
 
 @wp.func
@@ -162,31 +155,7 @@ def may_matter(balls: Balls, b: int, low: wp.vec3d, high: wp.vec3d, bound: wp.fl
 
 
 @wp.kernel
-def count_kernel(
-    first: int,
-    balls: Balls,
-    corners: wp.array(dtype=wp.vec3i),
-    bound: wp.array(dtype=wp.float64),
-    band: wp.float64,
-    out_count: wp.array(dtype=wp.int32),
-):
-    """Adds the number of balls that may matter to each tile; tiles deep inside need none."""
-    i = first + wp.tid()
-    if bound[i] <= -band:
-        return
-    low = first_voxel(corners[i])
-    high = last_voxel(corners[i], 8)
-    count = int(0)
-    for n in range(RUNS):
-        run = run_of(balls, corners[i], n)
-        for b in range(run[0], run[1]):
-            if may_matter(balls, b, low, high, bound[i]):
-                count += 1
-    out_count[i] = out_count[i] + count
-
-
-@wp.kernel
-def fill_kernel(
+def list_kernel(
     first: int,
     balls: Balls,
     corners: wp.array(dtype=wp.vec3i),
@@ -195,7 +164,10 @@ def fill_kernel(
     out_place: wp.array(dtype=wp.int32),
     out_ball: wp.array(dtype=wp.int32),
 ):
-    """Lists the balls that count_kernel counted, from ``out_place`` on, and advances it to the end of the list."""
+    """Lists the balls that may matter to each tile from ``out_place`` on, which it advances to the end of the list.
+
+    Without room in ``out_ball`` it only counts them. Tiles deep inside need none.
+    """
     i = first + wp.tid()
     if bound[i] <= -band:
         return
@@ -206,7 +178,8 @@ def fill_kernel(
         run = run_of(balls, corners[i], n)
         for b in range(run[0], run[1]):
             if may_matter(balls, b, low, high, bound[i]):
-                out_ball[place] = b
+                if out_ball.shape[0] > 0:
+                    out_ball[place] = b
                 place += 1
     out_place[i] = place
 

@@ -187,7 +187,7 @@ def band_metadata(band: Band, sign: str, *, say_lost: bool = True) -> dict[str, 
         **mesh_metadata(surface.mesh),
     }
     if method != "none":
-        from geokit.volume.band.thin_components import lost_components
+        from geokit.volume.band.signs import lost_components
 
         lost = lost_components(band, *_pieces_of(surface.mesh))
         if lost:

@@ -17,7 +17,7 @@ from geokit.core.scan import prefix_sum
 from geokit.errors import DeviceMemoryError
 from geokit.volume.nanovdb.nodes import bits_of, slot_of, slot_places
 from geokit.volume.tree.root_table import root_keys_of
-from geokit.volume.tree.typed_tree import Nodes, RootTiles, TypedTree
+from geokit.volume.tree.typed_tree import TypedTree
 
 if TYPE_CHECKING:
     import warp as wp
@@ -106,11 +106,10 @@ def _rows_of_leaves(origins: NDArray[np.int32], masks: NDArray[np.uint8]) -> Row
 
 def _rows_of_tiles(tree: TypedTree, states: tuple[NDArray[np.bool_], ...]) -> list[Rows]:
     found = []
-    nodes: Any
     for nodes, state, span, width in zip(
         (tree.lower, tree.upper, tree.root), states, CELL_SPANS[1:], (16, 32, 1), strict=True
     ):
-        origins = nodes.origins[state] if isinstance(nodes, RootTiles) else _tile_origins(nodes, state, width, span)
+        origins = nodes.origins[state] if span == CELL_SPANS[3] else nodes.corners(state, width, span)
         if not len(origins):
             continue
         own, row = np.unique(origins & ~np.int32(8 * span - 1), axis=0, return_inverse=True)
@@ -119,11 +118,6 @@ def _rows_of_tiles(tree: TypedTree, states: tuple[NDArray[np.bool_], ...]) -> li
         words = np.packbits(bits, axis=1, bitorder="little").view(np.uint64)
         found.append(Rows(span, own, words, np.empty(0, np.int64)))
     return found
-
-
-def _tile_origins(nodes: Nodes, state: NDArray[np.bool_], width: int, span: int) -> NDArray[np.int32]:
-    node, slot = np.nonzero(state)
-    return nodes.origins[node] + span * slot_places(slot, width)
 
 
 def label_components(rows: tuple[Rows, ...], device: "wp.Device") -> Labels:

@@ -17,7 +17,7 @@ from geokit.volume.nanovdb.layout import LAYOUTS, LOWER_SLOTS, UPPER_SLOTS
 from geokit.volume.nanovdb.nodes import slot_of
 from geokit.volume.tree.device_leaves import build_leaves
 from geokit.volume.tree.grid_head import head_like, result_head, volume_from_buffer
-from geokit.volume.tree.typed_tree import Nodes, RootTiles, TypedTree, tree_of_leaves
+from geokit.volume.tree.typed_tree import Nodes, TypedTree, tree_of_leaves
 from geokit.volume.tree.typed_writer import Tiles, build_grid, build_grids
 
 __all__ = ["label_volume", "split_active", "tiles_of", "volumes_of"]
@@ -42,7 +42,7 @@ def label_volume(labels: Labels, volume: SparseVolume) -> SparseVolume:
     for number, part in enumerate(labels.rows[1:], 1):
         origins, values = labels.tiles(number)
         if part.span == CELL_SPANS[3]:
-            tree = replace(tree, root=RootTiles(origins, values, np.ones(len(origins), np.bool_)))
+            tree = replace(tree, root=Nodes(origins, values, np.ones(len(origins), np.bool_)))
         elif part.span == CELL_SPANS[2]:
             tree = replace(tree, upper=_nodes(origins, values, 32, part.span))
         else:

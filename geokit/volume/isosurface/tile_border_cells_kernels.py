@@ -19,13 +19,13 @@ from geokit.volume.nanovdb.read_voxel_kernels import grid_type_of, is_leaf, node
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
 
-@cpp.func_native("volume/isosurface/tile_border_cells.inl")
+@cpp.func_native("volume/isosurface/cells.inl")
 def tile_border(cells: Cells, tree: Tree, lower: int, slot: int) -> int:
     """The active tile in a slot and the tiles below it that may have crossed cells, a bit per direction."""
     ...
 
 
-@cpp.func_native("volume/isosurface/tile_border_cells.inl")
+@cpp.func_native("volume/isosurface/cells.inl")
 def find_border_block(cells: Cells, border_count: int, i: int, j: int, k: int) -> int:
     """The border block that starts at a voxel, -1 for none."""
     ...

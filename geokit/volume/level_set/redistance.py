@@ -17,7 +17,7 @@ from geokit.volume.model.sparse_volume import SparseVolume, made_on_device
 from geokit.volume.nanovdb.header import info_of
 from geokit.volume.nanovdb.layout import LAYOUTS
 from geokit.volume.tree.device_leaves import leaf_keys
-from geokit.volume.tree.device_writer import BuiltGrid, Leaves, build_on_device
+from geokit.volume.tree.device_writer import Leaves, build_on_device
 from geokit.volume.tree.estimates import least_leaves
 from geokit.volume.tree.grid_head import checked_head, info_like, result_head, volume_from_buffer
 from geokit.volume.tree.leaves import build_real_grid
@@ -305,7 +305,10 @@ def _float_volume(
         launcher.launch(copy_leaves_kernel, 8 * len(rows), inputs, [buffer], device)
 
     where = Leaves(wp.array(keys[order], dtype=wp.int64, device=device), leaves.on_device, in_order, uppers)
-    return _volume_from_built(build_on_device(where, head, write, inside), like)
+    grid = build_on_device(where, head, write, inside)
+    if grid.host is not None:
+        return volume_from_buffer(grid.host, like)
+    return made_on_device(grid.buffer, info_like(info_of(grid.head, byte_count=grid.size), like))
 
 
 def _double_volume(
@@ -320,9 +323,3 @@ def _double_volume(
     masks = active.numpy().view(np.uint8).reshape(-1, 64)[rows]
     values = value.numpy().reshape(-1, 512)[rows]
     return volume_from_buffer(build_real_grid(head, 8 * tiles[rows], masks, values), like)
-
-
-def _volume_from_built(grid: BuiltGrid, like: SparseVolume) -> SparseVolume:
-    if grid.host is not None:
-        return volume_from_buffer(grid.host, like)
-    return made_on_device(grid.buffer, info_like(info_of(grid.head, byte_count=grid.size), like))

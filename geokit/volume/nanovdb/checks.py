@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.errors import FileFormatError
-from geokit.volume.nanovdb.header import BLIND_DATA, HEAD_SIZE, grid_header, require_supported
-from geokit.volume.nanovdb.index_checks import index_damage, index_layout
+from geokit.volume.nanovdb.header import BLIND_DATA, HEAD_SIZE, Damage, damage_named, grid_header, require_supported
+from geokit.volume.nanovdb.index_checks import check_indices, index_layout
 from geokit.volume.nanovdb.layout import ALIGNMENT, INDEX_LAYOUTS, LEAF_VOXELS, GridLayout
 from geokit.volume.nanovdb.nodes import GridNodes, NodeLevel, bits_of, grid_nodes, root_origins, set_bits, slot_places
 
@@ -29,10 +28,6 @@ _CHECKED = "checked"
 FPN_LARGEST_LOG = 4
 # Nodes checked at a time: the first damage ends the check, however many bits the other masks have.
 NODES_AT_A_TIME = 256
-
-
-class _Damage(Exception):
-    pass
 
 
 def check_head(head: NDArray[np.uint8], size: int, where: str) -> GridLayout:
@@ -51,12 +46,10 @@ def check_head(head: NDArray[np.uint8], size: int, where: str) -> GridLayout:
         UnsupportedGridError: The grid's version, type or node order is not supported.
     """
     layout = index_layout(head, where) or require_supported(head, where)
-    try:
+    with damage_named(where):
         if int(grid_header(head)["grid_size"]) != size:
-            raise _Damage(f"its header says {int(grid_header(head)['grid_size'])} bytes and its file {size}")
+            raise Damage(f"its header says {int(grid_header(head)['grid_size'])} bytes and its file {size}")
         _check_levels(grid_nodes(head, layout), size)
-    except _Damage as damage:
-        raise _refusal(where, damage) from None
     return layout
 
 
@@ -76,13 +69,13 @@ def check_grid(buffer: NDArray[np.uint8], where: str) -> GridLayout:
         UnsupportedGridError: The grid's version, type or node order is not supported.
     """
     layout = check_head(buffer, len(buffer), where)
-    try:
+    with damage_named(where):
         grid = grid_nodes(buffer, layout)
         _check_levels(grid, len(buffer))
         end, origins, empty_upper = _check_root(grid)
         for level in (grid.upper, grid.lower, grid.leaf):
             if level.count and level.begin < end:
-                raise _Damage(f"the {level.name} nodes overlap what comes before them")
+                raise Damage(f"the {level.name} nodes overlap what comes before them")
             end = max(end, level.end) if level.count else end
         origins, empty_lower = _check_children(grid.upper, grid.lower, origins)
         _check_children(grid.lower, grid.leaf, origins, layout.leaf_bits < 0)
@@ -90,10 +83,8 @@ def check_grid(buffer: NDArray[np.uint8], where: str) -> GridLayout:
         if layout.background.base.kind == "b":
             _check_bools(grid)
         _check_blind_data(buffer, end)
-        if layout.name in INDEX_LAYOUTS and (damage := index_damage(grid)):
-            raise _Damage(damage)
-    except _Damage as damage:
-        raise _refusal(where, damage) from None
+        if layout.name in INDEX_LAYOUTS:
+            check_indices(grid)
     return layout
 
 
@@ -117,16 +108,12 @@ def mark_checked(volume: SparseVolume) -> None:
     volume._cache.keep(_CHECKED, True)
 
 
-def _refusal(where: str, damage: _Damage) -> FileFormatError:
-    return FileFormatError(f"{where}: the grid is damaged, {damage}; get the file again from its source")
-
-
 def _check_levels(grid: GridNodes, size: int) -> None:
     if size % ALIGNMENT:
-        raise _Damage(f"{size} bytes are no multiple of {ALIGNMENT}")
+        raise Damage(f"{size} bytes are no multiple of {ALIGNMENT}")
     for level in (grid.leaf, grid.lower, grid.upper, grid.root):
         if level.count and (level.begin < HEAD_SIZE or level.begin % ALIGNMENT or level.end > size):
-            raise _Damage(f"{level.count} {level.name} nodes do not fit where its header puts them")
+            raise Damage(f"{level.count} {level.name} nodes do not fit where its header puts them")
 
 
 def _check_root(grid: GridNodes) -> tuple[int, NDArray[np.int32], NDArray[np.bool_]]:
@@ -134,16 +121,16 @@ def _check_root(grid: GridNodes) -> tuple[int, NDArray[np.int32], NDArray[np.boo
     root, upper, count = grid.root, grid.upper, int(grid.entry_count[0])
     end = root.end + count * root.layout.root_tile_size
     if end > len(root.buffer):
-        raise _Damage(f"{count} tiles of the root do not fit")
+        raise Damage(f"{count} tiles of the root do not fit")
     keys, child = grid.table["key"], grid.table["child"]
     if len(np.unique(keys)) != count:
-        raise _Damage("two tiles of the root stand for the same place")
+        raise Damage("two tiles of the root stand for the same place")
     if (keys >> np.uint64(63)).any():
-        raise _Damage("a tile of the root stands for no place")
+        raise Damage("a tile of the root stands for no place")
     keys, child = keys[child != 0], child[child != 0]
     _check_targets(child.astype(np.float64) + root.begin, child + np.int64(root.begin), upper)
     if len(np.unique(child)) != upper.count or len(child) != upper.count:
-        raise _Damage(f"the root leads to {len(child)} of {upper.count} upper nodes")
+        raise Damage(f"the root leads to {len(child)} of {upper.count} upper nodes")
     order = np.argsort(child)
     origins = root_origins(keys[order])
     return end, origins, _check_origins(upper, root.begin + child[order], origins)
@@ -153,7 +140,7 @@ def _check_targets(rough: NDArray[np.float64], target: NDArray[np.int64], level:
     # The float sum reveals an overflow that wrapping would hide in the integer sum.
     inside = (rough >= level.begin) & (rough < level.end) & (target >= level.begin) & (target < level.end)
     if not inside.all() or ((target - level.begin) % level.size).any():
-        raise _Damage(f"an offset does not lead to a {level.name} node")
+        raise Damage(f"an offset does not lead to a {level.name} node")
 
 
 def _check_children(
@@ -168,7 +155,7 @@ def _check_children(
         if not variable:
             _check_targets(base.astype(np.float64) + child, base + child, below)
         elif len(child) and (np.abs(child.astype(np.float64)) > len(nodes.buffer)).any():
-            raise _Damage(f"an offset does not lead to a {below.name} node")
+            raise Damage(f"an offset does not lead to a {below.name} node")
         parts.append(base + child)
         places.append(origins[first + node] + nodes.span * slot_places(slot, nodes.width))
     target, origins = np.concatenate(parts), np.concatenate(places)
@@ -176,7 +163,7 @@ def _check_children(
         order = np.argsort(target)
         target, origins = target[order], origins[order]
     if len(target) != below.count or (target[1:] == target[:-1]).any():
-        raise _Damage(f"the {nodes.name} nodes lead to {len(target)} of {below.count} {below.name} nodes")
+        raise Damage(f"the {nodes.name} nodes lead to {len(target)} of {below.count} {below.name} nodes")
     if variable and len(target):
         _check_variable_leaves(target, below)
     return origins, _check_origins(below, target, origins)
@@ -196,7 +183,7 @@ def _check_origins(level: NodeLevel, starts: NDArray[np.int64], origins: NDArray
     if wrong.any():
         row = int(np.argmax(wrong))
         said, place = stated[row].tolist(), origins[row].tolist()
-        raise _Damage(f"{level.name} node {row} says that it begins at {said}, and its slot begins at {place}")
+        raise Damage(f"{level.name} node {row} says that it begins at {said}, and its slot begins at {place}")
     return np.asarray(empty)
 
 
@@ -214,7 +201,7 @@ def _check_empty(grid: GridNodes, upper: NDArray[np.bool_], lower: NDArray[np.bo
         active[node[below]] = True
         if (active & empty).any():
             row = int(np.argmax(active & empty))
-            raise _Damage(f"{level.name} node {row} has active voxels, and says that it has none")
+            raise Damage(f"{level.name} node {row} has active voxels, and says that it has none")
         starts = level.starts
 
 
@@ -224,18 +211,18 @@ def _check_bools(grid: GridNodes) -> None:
     for level in (grid.upper, grid.lower):
         found += [part.values[~bits_of(part.child_mask)] for _, part in level.parts()]
     if any((values.view(np.uint8) > 1).any() for values in found):
-        raise _Damage("a tile or the background is neither true nor false")
+        raise Damage("a tile or the background is neither true nor false")
 
 
 def _check_variable_leaves(start: NDArray[np.int64], leaf: NodeLevel) -> None:
     # Each leaf stores its own width in bits; it must end before the next one starts.
     buffer = leaf.buffer
     if start[0] != leaf.begin or start[-1] + leaf.size > len(buffer) or (start % ALIGNMENT).any():
-        raise _Damage("an offset does not lead to a leaf node")
+        raise Damage("an offset does not lead to a leaf node")
     width = buffer[start + 15] >> 5
     end = start + (leaf.size - LEAF_VOXELS // 8) + (LEAF_VOXELS // 8 << width.astype(np.int64))
     if (width > FPN_LARGEST_LOG).any() or (end[:-1] != start[1:]).any() or end[-1] > len(buffer):
-        raise _Damage("the leaves of variable width do not follow each other")
+        raise Damage("the leaves of variable width do not follow each other")
 
 
 def _check_blind_data(buffer: NDArray[np.uint8], tree_end: int) -> None:
@@ -245,10 +232,10 @@ def _check_blind_data(buffer: NDArray[np.uint8], tree_end: int) -> None:
     if not count and offset == 0:
         return
     if offset < tree_end or offset % 8 or offset + count * BLIND_DATA.itemsize > len(buffer):
-        raise _Damage(f"{count} blocks of blind data do not fit")
+        raise Damage(f"{count} blocks of blind data do not fit")
     entries = buffer[offset : offset + count * BLIND_DATA.itemsize].view(BLIND_DATA)
     # Offsets count from the entry. The size of a value is zero if the writer (before 32.6) did not state it.
     start = entries["offset"].astype(np.float64) + offset + BLIND_DATA.itemsize * np.arange(count)
     end = start + entries["value_count"].astype(np.float64) * entries["value_size"]
     if (start < HEAD_SIZE).any() or (end > len(buffer)).any() or (start > len(buffer)).any():
-        raise _Damage("a block of blind data lies outside")
+        raise Damage("a block of blind data lies outside")

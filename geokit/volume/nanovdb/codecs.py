@@ -8,7 +8,8 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, BinaryIO
+from contextlib import contextmanager
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +42,15 @@ class _Damaged(Exception):
     pass
 
 
+@contextmanager
+def _damage_named(where: str, codec: str) -> Iterator[None]:
+    try:
+        yield
+    except (_Damaged, zlib.error, struct.error) as error:
+        message = f"{where}: the {codec} data is damaged ({error}); get the file again from its source"
+        raise FileFormatError(message) from None
+
+
 def largest_size(stored: int) -> int:
     """Largest size to which ``stored`` compressed bytes of a valid file can decompress."""
     return LARGEST_RATIO * stored + PIECE
@@ -59,12 +69,10 @@ def decompress(codec: str, stored: memoryview, out: NDArray[np.uint8], where: st
         FileFormatError: The bytes do not decompress to exactly ``out``.
         MissingDependencyError: Blosc is not installed.
     """
-    try:
+    with _damage_named(where, codec):
         written = _decompress(codec, stored, out)
-    except (_Damaged, zlib.error, struct.error) as error:
-        raise _refusal(where, codec, str(error)) from None
-    if written != len(out):
-        raise _refusal(where, codec, f"it holds {written} bytes of {len(out)}")
+        if written != len(out):
+            raise _Damaged(f"it holds {written} bytes of {len(out)}")
 
 
 def decompress_head(codec: str, fetch: Fetch, stored: int, size: int, where: str) -> NDArray[np.uint8]:
@@ -81,15 +89,13 @@ def decompress_head(codec: str, fetch: Fetch, stored: int, size: int, where: str
         FileFormatError: The bytes do not decompress.
         MissingDependencyError: Blosc is not installed.
     """
-    try:
+    with _damage_named(where, codec):
         if codec == "none":
             head = fetch(0, min(size, stored))
         elif codec == "zip":
             head = zlib.decompressobj().decompress(fetch(8, min(stored - 8, PIECE)) if stored > 8 else b"", size)
         else:
             head = _blosc_first_block(fetch, stored)[:size]
-    except (_Damaged, zlib.error, struct.error) as error:
-        raise _refusal(where, codec, str(error)) from None
     # The copy is aligned, so that the headers may be read as records.
     return np.frombuffer(head, np.uint8).copy()
 
@@ -119,9 +125,10 @@ def compress_into(codec: str, parts: Sequence[NDArray[np.uint8]], file: BinaryIO
         file.write(struct.pack("<Q", sum(map(len, packed))))
         file.writelines(packed)
         return 8 + sum(map(len, packed))
-    total = 0
+    total, blosc = 0, require_package("blosc")
+    how = {"typesize": BLOSC_TYPE_SIZE, "clevel": BLOSC_LEVEL, "shuffle": blosc.SHUFFLE, "cname": "lz4"}
     for frame in _frames(parts):
-        stored = _blosc_pack(frame)
+        stored = blosc.compress(frame.data, **how)
         file.write(struct.pack("<Q", len(stored)))
         file.write(stored)
         total += 8 + len(stored)
@@ -143,19 +150,6 @@ def _frames(parts: Sequence[NDArray[np.uint8]]) -> Iterator[NDArray[np.uint8]]:
                 room, gathered = BLOSC_FRAME, []
     if gathered:
         yield np.concatenate(gathered)
-
-
-def _blosc_pack(frame: NDArray[np.uint8]) -> bytes:
-    blosc = _blosc()
-    return blosc.compress(frame.data, typesize=BLOSC_TYPE_SIZE, clevel=BLOSC_LEVEL, shuffle=blosc.SHUFFLE, cname="lz4")
-
-
-def _refusal(where: str, codec: str, detail: str) -> FileFormatError:
-    return FileFormatError(f"{where}: the {codec} data is damaged ({detail}); get the file again from its source")
-
-
-def _blosc() -> Any:
-    return require_package("blosc")
 
 
 def _length_prefixed(stored: memoryview, start: int) -> memoryview:
@@ -215,7 +209,7 @@ def _blosc_frame(frame: memoryview, out: NDArray[np.uint8]) -> int:
     size = _blosc_size(frame)
     if size != len(out):
         raise _Damaged(f"a Blosc frame holds {size} bytes where {len(out)} belong")
-    blosc = _blosc()
+    blosc = require_package("blosc")
     data = bytes(frame)
     if not blosc.cbuffer_validate(data):
         raise _Damaged("a Blosc frame is not valid")

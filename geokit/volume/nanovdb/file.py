@@ -32,7 +32,9 @@ from geokit.volume.nanovdb.header import (
     MAGIC_GRID,
     MAGIC_OLD,
     MAJOR_VERSION,
+    REMEDY,
     aligned_buffer,
+    damage_named,
     decoded_name,
     grid_header,
     grid_name,
@@ -56,7 +58,6 @@ FILE_METADATA = np.dtype(
 )  # fmt: skip
 # The root follows the headers. In every known file its fixed part lies within 4 KiB, whatever the padding.
 INSPECTED = 4096
-REMEDY = "get the file again from its source"
 
 
 class NvdbGrid(NamedTuple):
@@ -185,7 +186,8 @@ def read_part(
             return read(path, [index], memory_limit=memory_limit)[0]
         grid = np.memmap(file, np.uint8, "r", entry.start, entry.grid_size)
         low, high = box_of(info_of(head, name=entry.name, where=where))
-        part = Part(grid, layout, low, high, where)
+        with damage_named(where):
+            part = Part(grid, layout, low, high)
         require_content(path, part.size, content_limit(os.fstat(file.fileno()).st_size, memory_limit))
         require_free(part.size, f"load: the part of {entry.where}", always=True)
         buffer = part.buffer()

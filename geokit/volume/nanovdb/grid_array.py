@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from geokit.core.download import bytes_of
+
 if TYPE_CHECKING:
     import warp as wp
     from numpy.typing import NDArray
 
-__all__ = ["array_of", "copied_grid", "empty_grid", "made_volume", "uploaded_grid"]
+__all__ = ["array_of", "copied_grid", "empty_grid", "made_volume"]
 
 LARGEST_ARRAY = (1 << 31) - 1
 
@@ -40,26 +42,14 @@ def empty_grid(size: int, device: "wp.Device", *, zeroed: bool = True) -> "wp.ar
     return shown
 
 
-def uploaded_grid(buffer: NDArray[np.uint8], device: "wp.Device") -> "wp.array":
-    """Copy a grid to a device."""
+def copied_grid(source: "wp.array", size: int, device: "wp.Device") -> "wp.array":
+    """Copy a grid of ``size`` bytes to a device."""
     import warp as wp
 
-    made = empty_grid(len(buffer), device, zeroed=False)
-    for start in range(0, len(buffer), LARGEST_ARRAY):
-        part = buffer[start : start + LARGEST_ARRAY]
-        source: Any = wp.array(part, dtype=wp.uint8, device="cpu", copy=False)
-        wp.copy(_bytes_at(made, start, len(part)), source)
-    return made
-
-
-def copied_grid(source: "wp.array", size: int) -> "wp.array":
-    """Copy a grid of ``size`` bytes within its device."""
-    import warp as wp
-
-    made = empty_grid(size, source.device, zeroed=False)
+    made = empty_grid(size, device, zeroed=False)
     for start in range(0, size, LARGEST_ARRAY):
         count = min(LARGEST_ARRAY, size - start)
-        wp.copy(_bytes_at(made, start, count), _bytes_at(source, start, count))
+        wp.copy(bytes_of(made, start, count), bytes_of(source, start, count))
     return made
 
 
@@ -74,9 +64,3 @@ def made_volume(grid: "wp.array", size: int) -> "wp.Volume":
     # Of its argument it uses these three alone.
     memory: Any = SimpleNamespace(device=grid.device, ptr=grid.ptr, size=size)
     return wp.Volume(memory, copy=False)
-
-
-def _bytes_at(array: "wp.array", start: int, count: int) -> "wp.array":
-    import warp as wp
-
-    return wp.array(ptr=int(array.ptr or 0) + start, dtype=wp.uint8, shape=(count,), device=array.device)

@@ -9,7 +9,8 @@ Source:
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from types import MappingProxyType
 from typing import Any
 
@@ -24,9 +25,10 @@ from geokit.volume.nanovdb.types import BY_NAME, GRID_CLASSES
 
 __all__ = [
     "FLAG_BREADTH_FIRST", "FLAG_HAS_BBOX", "FLAG_HAS_MIN_MAX", "FLAG_LONG_NAME", "GRID_CLASSES", "GRID_DATA",
-    "HEAD_SIZE", "MAGIC_FILE", "MAGIC_GRID", "MAGIC_OLD", "MAJOR_VERSION", "TREE_DATA", "TREE_OFFSET",
-    "aligned_buffer", "decoded_name", "encoded_name", "grid_class_code", "grid_header", "grid_name", "info_of",
-    "is_aligned", "require_header", "require_supported", "tree_header", "value_range", "version_text", "voxel_size_of",
+    "HEAD_SIZE", "MAGIC_FILE", "MAGIC_GRID", "MAGIC_OLD", "MAJOR_VERSION", "REMEDY", "TREE_DATA", "TREE_OFFSET",
+    "Damage", "aligned_buffer", "damage_named", "decoded_name", "encoded_name", "grid_class_code", "grid_header",
+    "grid_name", "info_of", "is_aligned", "is_singular", "require_header", "require_supported", "tree_header",
+    "value_range", "version_text", "voxel_size_of",
 ]  # fmt: skip
 
 # A buffer should start at a 32-byte boundary and at a cache line; the latter is the larger.
@@ -82,6 +84,20 @@ HEAD_SIZE = GRID_DATA.itemsize + TREE_DATA.itemsize
 
 # The root starts with the bounding box of its active voxels: six int32.
 ROOT_BOUNDS = 24
+REMEDY = "get the file again from its source"
+
+
+class Damage(Exception):
+    """What is wrong with a grid, for :func:`damage_named`."""
+
+
+@contextmanager
+def damage_named(where: str) -> Iterator[None]:
+    """Context in which a :class:`Damage` is raised as a FileFormatError that names file and grid."""
+    try:
+        yield
+    except Damage as damage:
+        raise FileFormatError(f"{where}: the grid is damaged, {damage}; {REMEDY}") from None
 
 
 def grid_class_code(name: str) -> int:
@@ -128,23 +144,22 @@ def require_header(head: NDArray[np.uint8], where: str) -> None:
         FileFormatError: The bytes are not a NanoVDB grid, or its header contradicts itself.
         UnsupportedGridError: The grid has another major version.
     """
-    remedy = "get the file again from its source"
     if len(head) < HEAD_SIZE:
-        raise FileFormatError(f"{where}: {len(head)} bytes are too few for a NanoVDB grid; {remedy}")
+        raise FileFormatError(f"{where}: {len(head)} bytes are too few for a NanoVDB grid; {REMEDY}")
     grid = grid_header(head)
     if int(grid["magic"]) not in (MAGIC_OLD, MAGIC_GRID):
-        raise FileFormatError(f"{where}: the grid does not start with NanoVDB's magic number; {remedy}")
+        raise FileFormatError(f"{where}: the grid does not start with NanoVDB's magic number; {REMEDY}")
     version = int(grid["version"])
     if version >> 21 != MAJOR_VERSION:
         raise UnsupportedGridError(
             f"{where}: NanoVDB {version_text(version)} is not {MAJOR_VERSION}.x; convert it with nanovdb_convert"
         )
     if int(grid["grid_class"]) >= len(GRID_CLASSES):
-        raise FileFormatError(f"{where}: grid class {int(grid['grid_class'])} does not exist; {remedy}")
+        raise FileFormatError(f"{where}: grid class {int(grid['grid_class'])} does not exist; {REMEDY}")
     matrix = grid["matrix"].reshape(3, 3)
     finite = np.isfinite(matrix).all() and np.isfinite(grid["vector"]).all() and np.isfinite(grid["inverse"]).all()
-    if not finite or _is_singular(matrix):
-        raise FileFormatError(f"{where}: the transform is not finite and invertible; {remedy}")
+    if not finite or is_singular(matrix):
+        raise FileFormatError(f"{where}: the transform is not finite and invertible; {REMEDY}")
 
 
 def require_supported(head: NDArray[np.uint8], where: str) -> GridLayout:
@@ -165,7 +180,8 @@ def require_supported(head: NDArray[np.uint8], where: str) -> GridLayout:
     return layout
 
 
-def _is_singular(matrix: NDArray[np.float64]) -> bool:
+def is_singular(matrix: NDArray[np.float64]) -> bool:
+    """Whether a matrix (3, 3) has no inverse."""
     # Rows are scaled first: voxels of 1e-120 have a determinant that underflows although the matrix is regular.
     scale = np.abs(matrix).max(axis=1, keepdims=True)
     return not (scale > 0.0).all() or np.linalg.matrix_rank(matrix / scale) < 3
@@ -208,7 +224,7 @@ def info_of(
     layout = LAYOUTS.get(type_name(int(grid["grid_type"])))
     root = TREE_OFFSET + int(tree["node_offset"][3])
     if root < HEAD_SIZE or root + (layout.root_size if layout else ROOT_BOUNDS) > len(buffer):
-        raise FileFormatError(f"{where}: the root node lies outside the grid; get the file again from its source")
+        raise FileFormatError(f"{where}: the root node lies outside the grid; {REMEDY}")
     transform = np.eye(4)
     transform[:3, :3] = grid["matrix"].reshape(3, 3)
     transform[:3, 3] = grid["vector"]

@@ -17,6 +17,7 @@ from geokit.volume.nanovdb.header import (
     encoded_name,
     grid_class_code,
     grid_header,
+    is_singular,
     tree_header,
     voxel_size_of,
 )
@@ -24,8 +25,9 @@ from geokit.volume.nanovdb.layout import GRID_TYPES, GridLayout
 
 __all__ = ["GridOptions", "checked_options", "checked_transform", "write_header", "write_transform"]
 
-# OpenVDB 10 writes 32.4.2; later readers accept it too.
+# OpenVDB 10 writes this version. Its tools reject later versions' magic numbers, and later tools read this one.
 VERSION = 32 << 21 | 4 << 10 | 2
+# The header holds a name of so many bytes and a zero.
 LONGEST_NAME = 255
 
 
@@ -62,14 +64,8 @@ def checked_transform(transform: NDArray[np.float64]) -> NDArray[np.float64]:
     matrix = np.array(read_array(transform, "transform"), np.float64)
     if matrix.shape != (4, 4):
         raise InputError(f"transform: shape {matrix.shape} is not (4, 4); give index to world")
-    linear = matrix[:3, :3]
-    scale = np.abs(linear).max(axis=1, keepdims=True)
-    if (
-        not np.isfinite(matrix).all()
-        or not (scale > 0.0).all()
-        or np.linalg.matrix_rank(linear / scale) < 3
-        or (matrix[3] != (0.0, 0.0, 0.0, 1.0)).any()
-    ):
+    is_affine = np.isfinite(matrix).all() and (matrix[3] == (0.0, 0.0, 0.0, 1.0)).all()
+    if not is_affine or is_singular(matrix[:3, :3]):
         raise InputError(
             "transform: not a finite, invertible affine map with the last row 0 0 0 1; give index to world"
         )

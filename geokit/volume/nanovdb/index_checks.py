@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.errors import UnsupportedGridError
-from geokit.volume.nanovdb.header import FLAG_BREADTH_FIRST, grid_header, require_header, version_text
+from geokit.volume.nanovdb.header import FLAG_BREADTH_FIRST, Damage, grid_header, require_header, version_text
 from geokit.volume.nanovdb.layout import INDEX_LAYOUTS, LEAF_VOXELS, GridLayout, type_name
 from geokit.volume.nanovdb.nodes import GridNodes, NodeLevel, bits_of
 
-__all__ = ["index_damage", "index_layout", "leaf_offsets", "value_count_of"]
+__all__ = ["check_indices", "index_layout", "leaf_offsets", "value_count_of"]
 
 # First version, packed as in NanoVDB, whose leaves have an offset and prefix sums.
 FIRST_VERSION = 32 << 21 | 6 << 10
@@ -60,23 +60,22 @@ def leaf_offsets(leaf: NodeLevel) -> NDArray[np.uint64]:
     return np.asarray(leaf.column("<u8", LEAF_OFFSET, 1)[:, 0])
 
 
-def index_damage(grid: GridNodes) -> str | None:
-    """Describe what is wrong with the indices of an index grid whose nodes are already checked; None if valid."""
+def check_indices(grid: GridNodes) -> None:
+    """Check the indices of an index grid whose nodes are already checked."""
     values = value_count_of(grid.root.buffer)
     if int(grid.background) >= max(values, 1):
-        return f"the background's index is not below its {values} values"
+        raise Damage(f"the background's index is not below its {values} values")
     if (grid.table["value"][grid.table["child"] == 0] >= values).any():
-        return f"a tile of the root has an index that is not below its {values} values"
+        raise Damage(f"a tile of the root has an index that is not below its {values} values")
     for level in (grid.upper, grid.lower):
         for _, part in level.parts():
             if ((part.values >= values) & ~bits_of(part.child_mask)).any():
-                return f"a tile has an index that is not below its {values} values"
-    return _leaf_damage(grid.leaf, values)
+                raise Damage(f"a tile has an index that is not below its {values} values")
+    if grid.leaf.count:
+        _check_leaves(grid.leaf, values)
 
 
-def _leaf_damage(leaf: NodeLevel, values: int) -> str | None:
-    if not leaf.count:
-        return None
+def _check_leaves(leaf: NodeLevel, values: int) -> None:
     count, offset, prefix = leaf.count, leaf_offsets(leaf), leaf.column("<u8", LEAF_PREFIX, 1)
     flags = leaf.column(np.uint8, LEAF_FLAGS, 1)[:, 0]
     used = np.full(count, LEAF_VOXELS, np.uint64)
@@ -88,9 +87,8 @@ def _leaf_damage(leaf: NodeLevel, values: int) -> str | None:
         # Readers add these prefix sums to the offset unchecked: a wrong one leads out of the leaf's range.
         shifts = np.arange(7, dtype=np.uint64) * np.uint64(9)
         if ((prefix >> shifts & np.uint64(511)) != (sums[:, :7] & np.uint64(511))).any():
-            return "the prefix sums of a leaf do not fit its mask"
+            raise Damage("the prefix sums of a leaf do not fit its mask")
     used = used + np.where(flags & HAS_STATISTICS, np.uint64(STATISTICS), np.uint64(0))
     # Compared in this order, since adding to a damaged offset could wrap around.
     if (used > values).any() or (offset > np.uint64(values) - used).any():
-        return f"a leaf has indices that are not below its {values} values"
-    return None
+        raise Damage(f"a leaf has indices that are not below its {values} values")

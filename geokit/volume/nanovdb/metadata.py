@@ -27,10 +27,10 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.errors import FileFormatError, InputError
+from geokit.errors import InputError
 from geokit.native._metadata import decode, encode_all
 from geokit.volume.nanovdb.checksum import LAST_OLD_VERSION, checksum_mode, full_checksum, partial_checksum
-from geokit.volume.nanovdb.header import BLIND_DATA, HEAD_SIZE, grid_header
+from geokit.volume.nanovdb.header import BLIND_DATA, HEAD_SIZE, Damage, damage_named, grid_header
 from geokit.volume.nanovdb.layout import ALIGNMENT
 
 __all__ = ["CHANNEL", "body_with_metadata", "metadata_of", "without_metadata"]
@@ -39,11 +39,6 @@ CHANNEL = b"geokit:metadata"
 # JSON expands to objects of some thirty times its size: a damaged length must not exhaust memory.
 LARGEST_TEXT = 16 << 20
 INT64 = np.iinfo(np.int64)
-REMEDY = "get the file again from its source"
-
-
-class _Damage(Exception):
-    pass
 
 
 def body_with_metadata(
@@ -97,13 +92,11 @@ def metadata_of(grid: NDArray[np.uint8], where: str) -> tuple[dict[str, Any], in
     Raises:
         FileFormatError: The channel does not have geokit's format.
     """
-    try:
+    with damage_named(where):
         found = _channel(grid)
         if found is None:
             return {}, len(grid)
         return _decoded(found.text)[1], found.size_without(grid)
-    except _Damage as damage:
-        raise _refusal(where, damage) from None
 
 
 def without_metadata(buffer: NDArray[np.uint8], where: str) -> tuple[NDArray[np.uint8], dict[str, Any]]:
@@ -119,13 +112,11 @@ def without_metadata(buffer: NDArray[np.uint8], where: str) -> tuple[NDArray[np.
     Raises:
         FileFormatError: The channel does not have geokit's format.
     """
-    try:
+    with damage_named(where):
         found = _channel(buffer)
         if found is None:
             return buffer, {}
         blind_offset, metadata = _decoded(found.text)
-    except _Damage as damage:
-        raise _refusal(where, damage) from None
     return _stripped(buffer, found, blind_offset), metadata
 
 
@@ -181,7 +172,7 @@ def _channel(buffer: NDArray[np.uint8]) -> _Channel | None:
         return None
     table_end = begin + count * BLIND_DATA.itemsize
     if begin < HEAD_SIZE or table_end > len(buffer):
-        raise _Damage(f"{count} blocks of blind data do not fit")
+        raise Damage(f"{count} blocks of blind data do not fit")
     entries = buffer[begin:table_end].view(BLIND_DATA)
     names = [name.split(b"\0", 1) for name in entries["name"].tolist()]
     mine = [i for i, name in enumerate(names) if name[0] == CHANNEL]
@@ -195,10 +186,10 @@ def _channel(buffer: NDArray[np.uint8]) -> _Channel | None:
         or length > LARGEST_TEXT
         or not HEAD_SIZE <= start <= len(buffer) - length
     ):
-        raise _Damage(f"{length} bytes of metadata do not fit")
+        raise Damage(f"{length} bytes of metadata do not fit")
     text = buffer[start : start + length].tobytes()
     if names[index][1:] not in ([], [_checksum(text)]):
-        raise _Damage("the checksum of its metadata does not match")
+        raise Damage("the checksum of its metadata does not match")
     ends = start + -(-length // ALIGNMENT) * ALIGNMENT == len(buffer)
     return _Channel(entry, start, text, ends and index == count - 1 and start >= table_end)
 
@@ -225,10 +216,10 @@ def _decoded(text: bytes) -> tuple[str, dict[str, Any]]:
         content = json.loads(text.decode("ascii"), parse_constant=_refuse_constant)
         blind_offset, plain = content["blind_offset"], content["metadata"]
         if blind_offset not in ("zero", "end") or not isinstance(plain, dict):
-            raise _Damage("the metadata is not what geokit writes")
+            raise Damage("the metadata is not what geokit writes")
         return blind_offset, {name: _value(value) for name, value in plain.items()}
     except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise _Damage(f"the metadata cannot be read ({type(error).__name__})") from None
+        raise Damage(f"the metadata cannot be read ({type(error).__name__})") from None
 
 
 def _value(value: Any) -> Any:
@@ -246,7 +237,3 @@ def _value(value: Any) -> Any:
 
 def _refuse_constant(name: str) -> Any:
     raise ValueError(name)
-
-
-def _refusal(where: str, damage: _Damage) -> FileFormatError:
-    return FileFormatError(f"{where}: the grid is damaged, {damage}; {REMEDY}")

@@ -9,8 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.errors import FileFormatError
-from geokit.volume.nanovdb.header import HEAD_SIZE, TREE_OFFSET, aligned_buffer, grid_header, tree_header
+from geokit.volume.nanovdb.header import HEAD_SIZE, TREE_OFFSET, Damage, aligned_buffer, grid_header, tree_header
 from geokit.volume.nanovdb.layout import GridLayout
 from geokit.volume.nanovdb.nodes import GridNodes, NodeLevel, grid_nodes, root_origins, set_bits, slot_places
 
@@ -25,19 +24,18 @@ class Part:
         layout: Layout of its type, whose leaves all have one size.
         low: First voxel of the box, (3,).
         high: Last voxel.
-        where: File and grid, for messages.
     Raises:
-        FileFormatError: An offset leads nowhere.
+        Damage: An offset leads nowhere.
     """
 
     def __init__(
-        self, grid: NDArray[np.uint8], layout: GridLayout, low: NDArray[np.int64], high: NDArray[np.int64], where: str
+        self, grid: NDArray[np.uint8], layout: GridLayout, low: NDArray[np.int64], high: NDArray[np.int64]
     ) -> None:
-        self._grid, self._layout, self._where = grid, layout, where
+        self._grid, self._layout = grid, layout
         self._low, self._high = low, high
         nodes = self._nodes = grid_nodes(grid, layout)
         if nodes.root.end + int(nodes.entry_count[0]) * layout.root_tile_size > len(grid):
-            raise self._damage("the table of the root does not fit")
+            raise Damage("the table of the root does not fit")
         table = nodes.table
         # Tiles of the root are few, and all are kept.
         self._entries = np.flatnonzero((table["child"] == 0) | self._meets(root_origins(table["key"]), 4096))
@@ -108,10 +106,10 @@ class Part:
         """Rows of the nodes that begin at some offsets."""
         row, rest = np.divmod(starts - level.begin, level.size)
         if (rest != 0).any() or (row < 0).any() or (row >= level.count).any():
-            raise self._damage(f"an offset does not lead to a {level.name} node")
+            raise Damage(f"an offset does not lead to a {level.name} node")
         # A node with many parents could make a result much larger than its file.
         if len(np.unique(row)) < len(row):
-            raise self._damage(f"two offsets lead to one {level.name} node")
+            raise Damage(f"two offsets lead to one {level.name} node")
         return np.asarray(row)
 
     def _link(
@@ -131,6 +129,3 @@ class Part:
         starts = level.begin + node * level.size
         level.child_offsets[node, slot] = begin + size * np.arange(len(node)) - starts
         np.bitwise_or.at(level.child_mask, (node, slot >> 3), (1 << (slot & 7)).astype(np.uint8))
-
-    def _damage(self, what: str) -> FileFormatError:
-        return FileFormatError(f"{self._where}: the grid is damaged, {what}; get the file again from its source")

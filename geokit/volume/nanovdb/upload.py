@@ -9,7 +9,7 @@ from geokit.core.launcher import resolve_device
 from geokit.core.memory.available_memory import available
 from geokit.errors import DeviceMemoryError
 from geokit.volume.nanovdb.checks import check_volume
-from geokit.volume.nanovdb.grid_array import array_of, copied_grid, made_volume, uploaded_grid
+from geokit.volume.nanovdb.grid_array import array_of, copied_grid, made_volume
 from geokit.volume.nanovdb.header import HEAD_SIZE, TREE_OFFSET, aligned_buffer, grid_header, tree_header
 from geokit.volume.nanovdb.layout import ALIGNMENT
 
@@ -57,7 +57,7 @@ def upload(volume: SparseVolume, device: Any = None) -> "wp.Volume":
         moved[:] = buffer
         buffer = moved
     try:
-        array = array_of(buffer) if found.is_cpu else uploaded_grid(buffer, found)
+        array = array_of(buffer) if found.is_cpu else copied_grid(array_of(buffer), len(buffer), found)
     except (RuntimeError, MemoryError) as error:
         raise DeviceMemoryError(
             f"volume {volume.info.name!r}: {len(buffer)} bytes could not be had on {found.alias}; use a coarser "
@@ -73,7 +73,7 @@ def upload(volume: SparseVolume, device: Any = None) -> "wp.Volume":
             moved[:] = buffer
             array, buffer = array_of(moved), moved
         else:
-            array = copied_grid(array, len(buffer))
+            array = copied_grid(array, len(buffer), found)
         made = made_volume(array, len(buffer))
     # The warp volume does not own its memory: the array, and with it the host buffer, must outlive it, even if the
     # caller keeps no other reference.

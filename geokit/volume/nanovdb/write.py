@@ -27,6 +27,7 @@ from geokit.volume.nanovdb.header import (
     grid_header,
     tree_header,
 )
+from geokit.volume.nanovdb.header_options import LONGEST_NAME, VERSION
 from geokit.volume.nanovdb.metadata import body_with_metadata
 
 if TYPE_CHECKING:
@@ -34,12 +35,9 @@ if TYPE_CHECKING:
 
 __all__ = ["file_metadata", "file_version", "segment_start", "write"]
 
-# OpenVDB 10 writes this version. Its tools reject later versions' magic numbers, and later tools read this one.
-OLD_VERSION = 32 << 21 | 4 << 10 | 2
 # The last grid type and the number of grid classes that 32.4 has with the same layout as later versions.
 LAST_OLD_TYPE = 18
 OLD_CLASSES = 9
-LONGEST_NAME = 255
 GRIDS_PER_SEGMENT = 0xFFFF
 
 
@@ -92,12 +90,12 @@ def _prepared(volume: SparseVolume, index: int) -> _Prepared:
     grid = grid_header(head)
     grid["grid_index"], grid["grid_count"] = 0, 1
     if (
-        int(grid["version"]) > OLD_VERSION
+        int(grid["version"]) > VERSION
         and int(grid["grid_type"]) <= LAST_OLD_TYPE
         and int(grid["grid_class"]) < OLD_CLASSES
         and not int(grid["blind_count"])
     ):
-        grid["magic"], grid["version"], grid["data_2"] = MAGIC_OLD, OLD_VERSION, 0
+        grid["magic"], grid["version"], grid["data_2"] = MAGIC_OLD, VERSION, 0
     name = encoded_name(volume.info.name)
     if not int(grid["flags"]) & FLAG_LONG_NAME:
         if len(name) > LONGEST_NAME or b"\0" in name:

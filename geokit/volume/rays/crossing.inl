@@ -1,6 +1,6 @@
 // The search for the first crossing of an isovalue along a ray, cell by cell.
 #pragma once
-#include "volume/rays/cubic.inl"
+#include "volume/rays/ray.inl"
 
 struct Crossing {
     // The side of the isovalue on which the ray was last, 0 if unknown. Two cells may round differently on the face

@@ -1,7 +1,7 @@
 // Optical depth along a ray, which is `scale` times the integral of the density, and the integral of the emission that
 // reaches the ray's start. Both grids have the same transform.
 #pragma once
-#include "volume/rays/cubic.inl"
+#include "volume/rays/ray.inl"
 #include "volume/rays/traverse.inl"
 
 struct Light {

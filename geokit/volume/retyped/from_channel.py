@@ -23,6 +23,7 @@ from geokit.volume.nanovdb.header import (
     grid_header,
     info_of,
 )
+from geokit.volume.nanovdb.header_options import LONGEST_NAME
 from geokit.volume.nanovdb.index_checks import leaf_offsets, value_count_of
 from geokit.volume.nanovdb.layout import GRID_TYPES, INDEX_LAYOUTS, LAYOUTS, LEAF_VOXELS, type_name
 from geokit.volume.nanovdb.nodes import NodeLevel, bits_of, grid_nodes
@@ -33,8 +34,6 @@ from geokit.volume.tree.retype_tree import retype_tree
 
 __all__ = ["channel_names", "from_channel"]
 
-# The header holds a name of 255 bytes and a zero.
-LONGEST_NAME = 255
 # Leaves filled at a time: the values of 1024 leaves of vec4d are 16 megabytes.
 LEAVES_AT_A_TIME = 1024
 

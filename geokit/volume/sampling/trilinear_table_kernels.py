@@ -67,16 +67,6 @@ def interpolate_by_tree(volume: wp.uint64, u: wp.vec3d, to_index: wp.mat33d, bac
     return world_gradient(a, b, c, to_index)
 
 
-@wp.func
-def is_unanswered(value: wp.float64) -> bool:
-    return wp.isnan(value)
-
-
-@wp.func
-def is_unanswered(slope: wp.vec3d) -> bool:  # noqa: F811
-    return wp.isnan(slope[0])
-
-
 # An item is a group of queries on a CPU, a single query on CUDA. Queries that the table does not answer go through the
 # tree. Non-finite points are among them and set out_nonfinite to 1. ``background`` is the grid's background for values,
 # and a zero vector for gradients.
@@ -121,7 +111,7 @@ def interpolate_cuda_kernel(
     point = wp.vec3d(points[i])
     u = to_index * (point - origin)
     found = interpolate_single(table, u, to_index, background)
-    if is_unanswered(found):
+    if wp.isnan(found):
         if not wp.isfinite(point):
             out_nonfinite[0] = 1
         found = interpolate_by_tree(volume, u, to_index, background)

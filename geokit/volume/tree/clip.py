@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,29 +31,21 @@ def clipped(volume: SparseVolume, box: NDArray[np.float64]) -> SparseVolume:
     tree = tree_of(volume)
     transform = volume.info.transform
     kind = tree.layout.background
-    root = tree.root
-    side = _side_of(root.origins, 4096, transform, box)
+    side = _side_of(tree.root.origins, 4096, transform, box)
     upper = [_masked(tree.upper, 32, 128, transform, box, tree.background)]
     # Cut tiles pass to the next level as nodes filled with their value.
-    upper.append(_split(root.origins, root.values, root.active, side == 0, 32, 128, transform, box, tree.background))
+    upper.append(_split(tree.root.rows(side == 0), 32, 128, transform, box, tree.background))
     lower = [_masked(tree.lower, 16, 8, transform, box, tree.background)]
     for nodes in upper:
-        cut = nodes.cut
-        corners = nodes.corners(32, 128)
-        _require_memory(volume, int(cut.sum()) * 4096 * (kind.itemsize + 1))
-        lower.append(
-            _split(corners, nodes.flat(), nodes.nodes.active.reshape(-1), cut, 16, 8, transform, box, tree.background)
-        )
+        _require_memory(volume, int(nodes.cut.sum()) * 4096 * (kind.itemsize + 1))
+        lower.append(_split(nodes.cut_tiles(32, 128), 16, 8, transform, box, tree.background))
     origins, masks, values = [tree.origins], [tree.masks], [tree.values]
     _require_memory(volume, sum(int(nodes.cut.sum()) for nodes in lower) * (3 * LEAF_VOXELS * kind.itemsize + 100))
     for nodes in lower:
-        corners = nodes.corners(16, 8)[nodes.cut]
-        origins.append(corners)
-        state = nodes.nodes.active.reshape(-1)[nodes.cut]
-        masks.append(np.where(state[:, None], np.uint8(255), np.uint8(0)).repeat(LEAF_VOXELS // 8, axis=1))
-        tiles = nodes.flat()[nodes.cut]
-        shape = (len(tiles), LEAF_VOXELS, *kind.shape)
-        values.append(np.broadcast_to(tiles[:, None], shape))
+        tiles = nodes.cut_tiles(16, 8)
+        origins.append(tiles.origins)
+        masks.append(np.where(tiles.active[:, None], np.uint8(255), np.uint8(0)).repeat(LEAF_VOXELS // 8, axis=1))
+        values.append(np.broadcast_to(tiles.values[:, None], (len(tiles.values), LEAF_VOXELS, *kind.shape)))
     result = replace(
         tree,
         origins=_all_of(origins),
@@ -61,7 +53,7 @@ def clipped(volume: SparseVolume, box: NDArray[np.float64]) -> SparseVolume:
         values=_all_of(values),
         lower=_joined(lower, tree.background),
         upper=_joined(upper, tree.background),
-        root=root.rows(side > 0),
+        root=tree.root.rows(side > 0),
     )
     return rebuilt(_leaves_inside(result, transform, box), volume)
 
@@ -71,20 +63,16 @@ def _all_of(parts: list[NDArray[Any]]) -> NDArray[Any]:
     return np.concatenate(parts) if any(map(len, parts[1:])) else parts[0]
 
 
-class _Cut:
-    """Nodes, and a mask (N * slots,) of the slots that the box's faces cut."""
+class _Cut(NamedTuple):
+    """Nodes, and a mask (N, slots) of the slots that the box's faces cut."""
 
-    def __init__(self, nodes: Nodes, cut: NDArray[np.bool_]) -> None:
-        self.nodes = nodes
-        self.cut = cut
+    nodes: Nodes
+    cut: NDArray[np.bool_]
 
-    def corners(self, width: int, span: int) -> NDArray[np.int32]:
-        return _slot_corners(self.nodes.origins, width, span).reshape(-1, 3)
-
-    def flat(self) -> NDArray[Any]:
-        """Values of all slots, flattened."""
-        values = self.nodes.values
-        return values.reshape(-1, *values.shape[2:])
+    def cut_tiles(self, width: int, span: int) -> Nodes:
+        """The tiles in the slots that are cut."""
+        nodes, cut = self
+        return Nodes(nodes.corners(cut, width, span), nodes.values[cut], nodes.active[cut])
 
 
 def _masked(
@@ -92,56 +80,36 @@ def _masked(
 ) -> _Cut:
     """Nodes with background in place of the tiles outside the box."""
     if not len(nodes.origins):
-        return _Cut(nodes, np.zeros(0, np.bool_))
+        return _Cut(nodes, np.zeros_like(nodes.active))
     values, active = nodes.values.copy(), nodes.active.copy()
     told = active | differs(values, background)
     side = np.ones(told.shape, np.int8)
-    node, slot = np.nonzero(told)
-    corners = _slot_corners(nodes.origins, width, span)[node, slot]
-    side[node, slot] = _side_of(corners, span, transform, box)
+    side[told] = _side_of(nodes.corners(told, width, span), span, transform, box)
     outside = side < 0
     values[outside], active[outside] = background, False
-    return _Cut(Nodes(nodes.origins, values, active), (side == 0).reshape(-1))
+    return _Cut(Nodes(nodes.origins, values, active), side == 0)
 
 
 def _split(
-    corners: NDArray[np.int32],
-    values: NDArray[Any],
-    active: NDArray[np.bool_],
-    cut: NDArray[np.bool_],
-    width: int,
-    span: int,
-    transform: NDArray[Any],
-    box: NDArray[Any],
-    background: NDArray[Any],
+    tiles: Nodes, width: int, span: int, transform: NDArray[Any], box: NDArray[Any], background: NDArray[Any]
 ) -> _Cut:
-    """Nodes filled with the values of the tiles that are cut."""
-    rows = np.flatnonzero(cut)
-    shape = (len(rows), width**3)
-    full = Nodes(
-        corners[rows].reshape(-1, 3),
-        np.broadcast_to(values[rows][:, None], (*shape, *values.shape[1:])),
-        np.broadcast_to(active[rows][:, None], shape),
-    )
+    """Nodes filled with the values of some tiles."""
+    shape = (len(tiles.origins), width**3)
+    values = np.broadcast_to(tiles.values[:, None], (*shape, *background.shape))
+    full = Nodes(tiles.origins, values, np.broadcast_to(tiles.active[:, None], shape))
     return _masked(full, width, span, transform, box, background)
 
 
 def _joined(parts: list[_Cut], background: NDArray[Any]) -> Nodes:
     """All nodes of a level, with background in place of the tiles that passed to the next level."""
     found = []
-    for part in parts:
-        nodes, cut = part.nodes, part.cut.reshape(part.nodes.active.shape)
+    for nodes, cut in parts:
         if not len(nodes.origins):
             continue
         nodes.values[cut], nodes.active[cut] = background, False
         some = (nodes.active | differs(nodes.values, background)).any(axis=1)
         found.append(nodes.rows(some))
-    return Nodes(*map(np.concatenate, zip(*found, strict=True))) if found else parts[0].nodes
-
-
-def _slot_corners(origins: NDArray[np.int32], width: int, span: int) -> NDArray[np.int32]:
-    steps = np.stack(np.unravel_index(np.arange(width**3), 3 * (width,)), axis=1).astype(np.int32) * span
-    return np.asarray(origins[:, None] + steps)
+    return Nodes.joined(found) if found else parts[0].nodes
 
 
 def _side_of(
@@ -152,18 +120,14 @@ def _side_of(
     Rounded sums and products are monotonic too. So a result for the corners, computed as for single voxels, holds for
     all voxels between them.
     """
-    worlds = _world_of(corners[:, None].astype(np.float64) + CORNERS * (span - 1), transform)
+    voxels = np.moveaxis(corners[:, None].astype(np.float64) + CORNERS * (span - 1), -1, 0)
+    worlds = [m[0] * voxels[0] + m[1] * voxels[1] + m[2] * voxels[2] + m[3] for m in transform[:3]]
     inside = np.ones(len(corners), np.bool_)
     outside = np.zeros(len(corners), np.bool_)
     for world, low, high in zip(worlds, *box, strict=True):
         inside &= ((world >= low) & (world <= high)).all(axis=1)
         outside |= (world < low).all(axis=1) | (world > high).all(axis=1)
     return np.where(inside, 1, np.where(outside, -1, 0)).astype(np.int8)
-
-
-def _world_of(voxels: NDArray[np.float64], transform: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """World coordinates of voxels (..., 3), one array per axis."""
-    return [m[0] * voxels[..., 0] + m[1] * voxels[..., 1] + m[2] * voxels[..., 2] + m[3] for m in transform[:3]]
 
 
 def _leaves_inside(tree: TypedTree, transform: NDArray[np.float64], box: NDArray[np.float64]) -> TypedTree:

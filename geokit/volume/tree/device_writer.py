@@ -258,7 +258,8 @@ def _link(
 
     leaves, lower, upper = levels
     device = buffer.device
-    outside, inside = (wp.uint64(_word_of(value, head.word)) for value in (head.background, head.inside))
+    # The bits of both tiles' values in their slots of eight bytes.
+    outside, inside = map(wp.uint64, np.array([head.background, head.inside], head.word).view("<u4"))
     for children, nodes, level, state in (
         (lower.keys, upper, layouts[1], states[1]),
         (leaves.keys, lower, layouts[0], states[0]),
@@ -266,11 +267,6 @@ def _link(
         given = wp.empty(0, dtype=wp.uint8, device=device) if state is None else state
         inputs = [level, nodes.keys, nodes.first_child, children, given, outside, inside]
         launcher.launch(link_kernel, nodes.count << (level.bits - 6), inputs, [buffer], device, grain=64)
-
-
-def _word_of(value: float, kind: np.dtype[Any]) -> int:
-    """The bits of a tile's value in its slot of eight bytes."""
-    return int(np.array([value], kind).view("<u4")[0])
 
 
 def _statistics(

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from geokit.volume.nanovdb.nodes import root_origins, slot_of
 from geokit.volume.tree.root_table import root_keys_of, with_gaps
-from geokit.volume.tree.typed_tree import Nodes, RootTiles, TypedTree
+from geokit.volume.tree.typed_tree import Nodes, TypedTree
 
 __all__ = ["with_signs"]
 
@@ -44,7 +44,7 @@ def with_signs(tree: TypedTree, inside: Any) -> TypedTree:
     # The gap lies inside if both its ends along z do: faces 5 (upper z) and 4 (lower z).
     rows = [row for row, below, above in gaps if faces[order[below], 5] < 0 and faces[order[above], 4] < 0]
     origins = root_origins(table[rows]).reshape(-1, 3)
-    root = RootTiles(origins, np.full(len(rows), inside, tree.values.dtype), np.zeros(len(rows), np.bool_))
+    root = Nodes(origins, np.full(len(rows), inside, tree.values.dtype), np.zeros(len(rows), np.bool_))
     return replace(tree, lower=lower, upper=upper, root=root)
 
 
@@ -63,8 +63,7 @@ def _level(
     node = node.reshape(-1)[order]
     slot, faces = slot_of(children[order], width, span), faces[order]
     own = np.empty((len(origins), 6), np.int8)
-    empty = np.empty((0, width**3), tree.values.dtype)
-    found = [Nodes(np.empty((0, 3), np.int32), empty, np.empty((0, width**3), np.bool_))]
+    found = [Nodes.none(tree.layout, width**3)]
     for first in range(0, len(origins), at_a_time):
         stop = min(first + at_a_time, len(origins))
         part = slice(*np.searchsorted(node, [first, stop]))
@@ -72,7 +71,7 @@ def _level(
         some = np.flatnonzero((signs < 0).any(axis=1))
         values = np.where(signs[some] < 0, inside, tree.background).astype(tree.values.dtype, copy=False)
         found.append(Nodes(origins[first + some], values, np.zeros(values.shape, np.bool_)))
-    return Nodes(*map(np.concatenate, zip(*found, strict=True))), origins, own
+    return Nodes.joined(found), origins, own
 
 
 def face_signs(values: NDArray[Any]) -> NDArray[np.int8]:

@@ -15,7 +15,7 @@ from geokit.volume.nanovdb.header import grid_header
 from geokit.volume.nanovdb.layout import GridLayout, layout_of
 from geokit.volume.nanovdb.nodes import GridNodes, grid_nodes, slot_of
 from geokit.volume.tree.estimates import leaf_count
-from geokit.volume.tree.typed_tree import Nodes, RootTiles, TypedTree, differs, tree_of
+from geokit.volume.tree.typed_tree import Nodes, TypedTree, differs, tree_of
 from geokit.volume.tree.typed_writer import rebuilt
 
 __all__ = ["pruned"]
@@ -57,12 +57,12 @@ def _with_tiles(
     tree = tree_of(volume)
     if layout.name == "bool":
         alike[alike] = _alike(tree.values, np.flatnonzero(alike), tolerance)
-    tiles = RootTiles(tree.origins[alike], _middle(tree.values, np.flatnonzero(alike), tolerance), full[alike])
+    tiles = Nodes(tree.origins[alike], _middle(tree.values, np.flatnonzero(alike), tolerance), full[alike])
     tree = replace(tree, origins=tree.origins[~alike], masks=tree.masks[~alike], values=tree.values[~alike])
     lower, tiles = _level(tree, tree.lower, tiles, tree.origins, 16, 8, tolerance)
     tree = replace(tree, lower=lower)
     upper, tiles = _level(tree, tree.upper, tiles, np.concatenate([tree.origins, lower.origins]), 32, 128, tolerance)
-    root = RootTiles(*map(np.concatenate, zip(tree.root, tiles, strict=True)))
+    root = Nodes.joined([tree.root, tiles])
     told = root.active | differs(root.values, tree.background)
     return rebuilt(replace(tree, upper=upper, root=root.rows(told)), volume)
 
@@ -74,8 +74,8 @@ def _has_leaves_only(grid: GridNodes) -> bool:
 
 
 def _level(
-    tree: TypedTree, nodes: Nodes, tiles: RootTiles, below: NDArray[np.int32], width: int, span: int, tolerance: float
-) -> tuple[Nodes, RootTiles]:
+    tree: TypedTree, nodes: Nodes, tiles: Nodes, below: NDArray[np.int32], width: int, span: int, tolerance: float
+) -> tuple[Nodes, Nodes]:
     """Put tiles into the nodes of a level; returns the nodes that remain, and those that have become tiles themselves.
 
     Args:
@@ -108,7 +108,7 @@ def _level(
     alike[alike] = _alike(values, np.flatnonzero(alike), tolerance)
     return (
         Nodes(origins[~alike], values[~alike], active[~alike]),
-        RootTiles(origins[alike], _middle(values, np.flatnonzero(alike), tolerance), active[alike, 0]),
+        Nodes(origins[alike], _middle(values, np.flatnonzero(alike), tolerance), active[alike, 0]),
     )
 
 

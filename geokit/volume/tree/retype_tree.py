@@ -99,7 +99,9 @@ def retype_tree(
     lower_begin = upper_begin + old.upper.count * new.upper_size
     leaf_begin = lower_begin + old.lower.count * new.lower_size
     starts = leaf_begin + np.concatenate([[0], np.cumsum(leaf_sizes)]).astype(np.int64)
-    blind = _blind_data(buffer) if channel is None else buffer[:0]
+    # Offsets of blind data count from its entries, so that entries and data can move together.
+    head = grid_header(buffer)
+    blind = buffer[int(head["blind_offset"]) :] if channel is None and head["blind_count"] else buffer[:0]
     out = aligned_buffer(int(starts[-1]) + len(blind), zeroed=True)
     _write_heads(out, buffer, grid_type, (leaf_begin, lower_begin, upper_begin, HEAD_SIZE), int(starts[-1]), blind)
     target = grid_nodes(out)
@@ -107,12 +109,6 @@ def retype_tree(
     upper_of_lower = _copy_nodes(target.upper, old.upper, old.lower.starts, target.lower.starts, channel)
     lower_of_leaf = _copy_nodes(target.lower, old.lower, old.leaf.starts, starts[:-1], channel)
     return RetypedTree(out, starts[:-1], lower_of_leaf, upper_of_lower)
-
-
-def _blind_data(buffer: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    # Offsets count from the entries, so that entries and data can move together.
-    grid = grid_header(buffer)
-    return buffer[int(grid["blind_offset"]) :] if int(grid["blind_count"]) else buffer[:0]
 
 
 def _write_heads(

@@ -40,9 +40,8 @@ class Items(NamedTuple):
     high_key: NDArray[Any]
 
     @classmethod
-    def empty(cls, layout: GridLayout, count: int) -> Items:
-        """Allocate items that hold no active voxel."""
-        kind = layout.background
+    def empty(cls, kind: np.dtype[Any], count: int) -> Items:
+        """Allocate items of values of a type, with its shape for vectors, that hold no active voxel."""
         values = [np.zeros((count, *kind.shape), kind.base) for _ in range(2)]
         keys = [np.zeros(count, np.float64) for _ in range(2)] if kind.shape else values
         return cls(np.repeat(NO_BOX, count, axis=0), *values, *keys)
@@ -101,11 +100,7 @@ def add_items(
 
 def reduced(items: Items, parent: NDArray[np.int64], count: int) -> Items:
     """Reduce items to those of the ``count`` nodes that contain them."""
-    kind = items.low
-    shape = (count, *kind.shape[1:])
-    low, high = np.zeros(shape, kind.dtype), np.zeros(shape, kind.dtype)
-    keys = (np.zeros(count), np.zeros(count)) if kind.ndim > 1 else (low, high)
-    out = Items(np.repeat(NO_BOX, count, axis=0), low, high, *keys)
+    out = Items.empty(np.dtype((items.low.dtype, items.low.shape[1:])), count)
     used = np.flatnonzero(items.some())
     if not len(used):
         return out
@@ -116,9 +111,9 @@ def reduced(items: Items, parent: NDArray[np.int64], count: int) -> Items:
     starts = np.cumsum(counts) - counts
     out.boxes[nodes, 0] = np.minimum.reduceat(items.boxes[rows, 0], starts)
     out.boxes[nodes, 1] = np.maximum.reduceat(items.boxes[rows, 1], starts)
-    low[nodes], high[nodes] = items.low[rows[starts]], items.high[most[starts]]
-    if keys[0] is not low:
-        keys[0][nodes], keys[1][nodes] = items.low_key[rows[starts]], items.high_key[most[starts]]
+    out.low[nodes], out.high[nodes] = items.low[rows[starts]], items.high[most[starts]]
+    if out.low_key is not out.low:
+        out.low_key[nodes], out.high_key[nodes] = items.low_key[rows[starts]], items.high_key[most[starts]]
     return out
 
 

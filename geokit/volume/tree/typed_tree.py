@@ -22,7 +22,6 @@ from geokit.volume.tree.estimates import require_host_room
 __all__ = [
     "VALUE_TYPES",
     "Nodes",
-    "RootTiles",
     "TypedTree",
     "differs",
     "rows_in",
@@ -36,7 +35,7 @@ VALUE_TYPES = tuple(name for name, layout in LAYOUTS.items() if not layout.leaf_
 
 
 class Nodes(NamedTuple):
-    """Nodes of one level above the leaves.
+    """Nodes of one level above the leaves; or tiles of one size, without the axis of slots.
 
     Attributes:
         origins: First voxel of each, (N, 3) int32.
@@ -52,17 +51,21 @@ class Nodes(NamedTuple):
         """Select nodes by a mask or by indices."""
         return Nodes(self.origins[kept], self.values[kept], self.active[kept])
 
+    def corners(self, slots: NDArray[np.bool_], width: int, span: int) -> NDArray[np.int32]:
+        """First voxels of the slots in a mask (N, slots), of nodes of ``width``^3 slots of ``span``^3 voxels."""
+        node, slot = np.nonzero(slots)
+        return self.origins[node] + np.int32(span) * slot_places(slot, width)
 
-class RootTiles(NamedTuple):
-    """Tiles of 4096^3 voxels: origins (R, 3) int32, values (R,) or (R, C), active (R,) bool."""
+    @staticmethod
+    def none(layout: GridLayout, *slots: int) -> Nodes:
+        """No nodes."""
+        values = np.empty((0, *slots, *layout.background.shape), layout.background.base)
+        return Nodes(np.empty((0, 3), np.int32), values, np.empty((0, *slots), np.bool_))
 
-    origins: NDArray[np.int32]
-    values: NDArray[Any]
-    active: NDArray[np.bool_]
-
-    def rows(self, kept: Any) -> RootTiles:
-        """Select tiles by a mask or by indices."""
-        return RootTiles(self.origins[kept], self.values[kept], self.active[kept])
+    @staticmethod
+    def joined(parts: list[Nodes]) -> Nodes:
+        """The nodes of all parts."""
+        return Nodes(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 @dataclass(frozen=True)
@@ -78,7 +81,7 @@ class TypedTree:
             memory.
         lower: Nodes of 16^3 leaves that hold a tile other than inactive background.
         upper: Nodes of 32^3 lower nodes that hold such a tile.
-        root: Tiles of the root.
+        root: Tiles of the root, of 4096^3 voxels.
     """
 
     layout: GridLayout
@@ -88,7 +91,7 @@ class TypedTree:
     values: NDArray[Any]
     lower: Nodes
     upper: Nodes
-    root: RootTiles
+    root: Nodes
 
     def tiles_at(
         self, origins: NDArray[np.int32], *, below_root: bool = True
@@ -136,7 +139,7 @@ def tree_of(volume: SparseVolume) -> TypedTree:
     grid = grid_nodes(buffer, layout)
     background, table = grid.background.copy(), grid.table
     is_tile = table["child"] == 0
-    root = RootTiles(root_origins(table["key"][is_tile]), table["value"][is_tile], table["state"][is_tile] != 0)
+    root = Nodes(root_origins(table["key"][is_tile]), table["value"][is_tile], table["state"][is_tile] != 0)
     upper = grid.upper_places().origins
     lower = grid.upper.children(upper).origins
     leaf = grid.lower.children(lower).origins
@@ -152,14 +155,8 @@ def tree_of_leaves(
     values: NDArray[Any],
 ) -> TypedTree:
     """Build a tree that has leaves only."""
-    kind = layout.background
-
-    def none(slots: int) -> Nodes:
-        shape = (0, slots, *kind.shape)
-        return Nodes(np.empty((0, 3), np.int32), np.empty(shape, kind.base), np.empty((0, slots), np.bool_))
-
-    root = RootTiles(np.empty((0, 3), np.int32), np.empty((0, *kind.shape), kind.base), np.empty(0, np.bool_))
-    return TypedTree(layout, background, origins, masks, values, none(LOWER_SLOTS), none(UPPER_SLOTS), root)
+    nodes = (Nodes.none(layout, *slots) for slots in ((LOWER_SLOTS,), (UPPER_SLOTS,), ()))
+    return TypedTree(layout, background, origins, masks, values, *nodes)
 
 
 def voxelized_tree(tree: TypedTree, name: str) -> TypedTree:
@@ -172,8 +169,8 @@ def voxelized_tree(tree: TypedTree, name: str) -> TypedTree:
         return tree
     sources = (
         (tree.root.origins[tree.root.active], tree.root.values[tree.root.active], 512),
-        (*_active_tiles(tree.upper, 32, 128), 16),
-        (*_active_tiles(tree.lower, 16, 8), 1),
+        (tree.upper.corners(tree.upper.active, 32, 128), tree.upper.values[tree.upper.active], 16),
+        (tree.lower.corners(tree.lower.active, 16, 8), tree.lower.values[tree.lower.active], 1),
     )
     count = sum(len(origins) * width**3 for origins, _, width in sources)
     # The leaves in the tree, in the new grid, and in one copy during the conversion.
@@ -201,9 +198,7 @@ def voxelized_tree(tree: TypedTree, name: str) -> TypedTree:
 
 def _tiles_of(level: NodeLevel, origins: NDArray[np.int32], background: NDArray[Any]) -> Nodes:
     """The nodes of a level with the given origins that hold a tile other than inactive background."""
-    kind, slots = level.layout.background, level.slots
-    none = np.empty((0, 3), np.int32), np.empty((0, slots, *kind.shape), kind.base), np.empty((0, slots), np.bool_)
-    kept = [Nodes(*none)]
+    kept = [Nodes.none(level.layout, level.slots)]
     for first, part in level.parts():
         child, active, tiles = bits_of(part.child_mask), bits_of(part.tile_mask), part.values
         some = np.flatnonzero((active | (differs(tiles, background) & ~child)).any(axis=1))
@@ -211,7 +206,7 @@ def _tiles_of(level: NodeLevel, origins: NDArray[np.int32], background: NDArray[
             values = tiles[some]
             values[child[some]] = background
             kept.append(Nodes(origins[first + some], values, active[some]))
-    return Nodes(*map(np.concatenate, zip(*kept, strict=True)))
+    return Nodes.joined(kept)
 
 
 def _leaf_contents(leaf: NodeLevel) -> tuple[NDArray[np.uint8], NDArray[Any]]:
@@ -231,12 +226,6 @@ def rows_in(table: NDArray[np.int32], wanted: NDArray[np.int32]) -> NDArray[np.i
     row = np.full(len(both), -1)
     row[number.reshape(-1)[: len(table)]] = np.arange(len(table))
     return row[number.reshape(-1)[len(table) :]]
-
-
-def _active_tiles(nodes: Nodes, width: int, span: int) -> tuple[NDArray[np.int32], NDArray[Any]]:
-    """Corners and values of the active tiles of nodes."""
-    node, slot = np.nonzero(nodes.active)
-    return nodes.origins[node] + span * slot_places(slot, width), nodes.values[node, slot]
 
 
 def _without_active(nodes: Nodes, background: NDArray[Any]) -> Nodes:

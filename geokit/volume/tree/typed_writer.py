@@ -320,7 +320,7 @@ def _write_statistics(level: NodeLevel, origins: NDArray[np.int32], items: Items
 def _write_leaves(leaf: NodeLevel, tree: TypedTree, leaf_order: NDArray[np.int64]) -> tuple[Items, NDArray[np.int64]]:
     """Write a tree's leaves in some order; returns their items and numbers of active voxels."""
     layout = leaf.layout
-    items = Items.empty(layout, leaf.count)
+    items = Items.empty(layout.background, leaf.count)
     first_voxel, extent, flag = leaf.column("<i4", 0, 3), leaf.column(np.uint8, 12, 3), leaf.column(np.uint8, 15, 1)
 
     def write(first: int) -> NDArray[np.int64]:

@@ -14,7 +14,7 @@ from geokit.volume.isosurface.nodes import topology_of
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.layout import LAYOUTS
 from geokit.volume.tree import estimates
-from geokit.volume.tree.typed_tree import Nodes, RootTiles, tree_of_leaves
+from geokit.volume.tree.typed_tree import Nodes, tree_of_leaves
 from geokit.volume.tree.typed_writer import rebuilt
 from tests.support.lying_grids import SOURCES, lying
 
@@ -70,7 +70,7 @@ def test_root_tiles(monkeypatch):
         np.empty((0, 512), np.float32),
     )
     origins = np.array([[0, 0, 0], [4096, 0, 0]], np.int32)
-    root = RootTiles(origins, np.array([-1.0, -1.0], np.float32), np.ones(2, np.bool_))
+    root = Nodes(origins, np.array([-1.0, -1.0], np.float32), np.ones(2, np.bool_))
     volume: SparseVolume = rebuilt(replace(tree, root=root), like)
     borders = topology_of(volume).large
     # All faces but the one between the two.

@@ -159,7 +159,7 @@ def test_active_tiles_of_128_voxels(grid_type):
 def tiled(grid_type):
     """One active tile of 128^3 voxels, at (-128, -128, -128)."""
     from geokit.volume.nanovdb.layout import LAYOUTS
-    from geokit.volume.tree.typed_tree import Nodes, RootTiles, TypedTree
+    from geokit.volume.tree.typed_tree import Nodes, TypedTree
     from geokit.volume.tree.typed_writer import rebuilt
 
     layout = LAYOUTS[grid_type]
@@ -175,7 +175,7 @@ def tiled(grid_type):
         np.empty((0, 512), kind),
         Nodes(none, np.empty((0, 4096), kind), np.empty((0, 4096), np.bool_)),
         Nodes(np.full((1, 3), -4096, np.int32), values, active),
-        RootTiles(none, np.empty(0, kind), np.empty(0, np.bool_)),
+        Nodes(none, np.empty(0, kind), np.empty(0, np.bool_)),
     )
     return rebuilt(tree, from_dense(np.zeros((1, 1, 1)), voxel_size=1.0))
 

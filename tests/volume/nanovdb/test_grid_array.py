@@ -104,8 +104,8 @@ def test_copies_in_parts(size: int, device: str, monkeypatch: pytest.MonkeyPatch
 
     monkeypatch.setattr(grid_array, "LARGEST_ARRAY", 5000)
     data = np.random.default_rng(size).integers(0, 256, size).astype(np.uint8)
-    there = grid_array.uploaded_grid(data, wp.get_device(device))
-    copied = grid_array.copied_grid(there, size)
+    there = grid_array.copied_grid(grid_array.array_of(data), size, wp.get_device(device))
+    copied = grid_array.copied_grid(there, size, there.device)
     assert there.shape == copied.shape == (min(size, 5000),)
     assert there.ptr != copied.ptr
     for array in (there, copied):

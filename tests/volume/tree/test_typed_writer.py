@@ -11,7 +11,7 @@ from geokit.volume.nanovdb.checks import check_grid
 from geokit.volume.nanovdb.header import tree_header
 from geokit.volume.nanovdb.layout import LAYOUTS
 from geokit.volume.tree.grid_head import head_like
-from geokit.volume.tree.typed_tree import VALUE_TYPES, Nodes, RootTiles, tree_of, tree_of_leaves
+from geokit.volume.tree.typed_tree import VALUE_TYPES, Nodes, tree_of, tree_of_leaves
 from geokit.volume.tree.typed_writer import Tiles, build_grid, build_grids, rebuilt
 from tests.support.random_grids import random_grid
 
@@ -70,7 +70,7 @@ def test_a_leaf_in_a_tile_of_the_root_keeps_the_tile_around_it(active):
         LAYOUTS["float"], np.float32(1), leaf, np.full((1, 64), 255, np.uint8), np.full((1, 512), 5.0, np.float32)
     )
     corner = np.array([[-4096, 0, 0]], np.int32)
-    tree = replace(tree, root=RootTiles(corner, np.array([-3.0], np.float32), np.array([active])))
+    tree = replace(tree, root=Nodes(corner, np.array([-3.0], np.float32), np.array([active])))
     volume = rebuilt(tree, like)
     check_grid(volume.nanovdb, "grid")
     assert volume.info.active_voxel_count == (4096**3 if active else 512)
