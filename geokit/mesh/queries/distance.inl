@@ -58,17 +58,10 @@ static constexpr auto feature_gap = [](const point* t, const point* u, point& x,
         }
     return least;
 };
-static constexpr auto boxes_meet = [](const point* t, const point* u) {
-    for (int k = 0; k < 3; ++k)
-        if (wp::max(wp::max(t[0][k], t[1][k]), t[2][k]) < wp::min(wp::min(u[0][k], u[1][k]), u[2][k])
-            || wp::max(wp::max(u[0][k], u[1][k]), u[2][k]) < wp::min(wp::min(t[0][k], t[1][k]), t[2][k]))
-            return false;
-    return true;
-};
 // The squared distance of two triangles, arrays of three points; sets x on t and y on u. 0 and a common point, to
 // rounding, where they meet, which is decided exactly.
 static constexpr auto triangle_gap = [](const point* t, const point* u, point& x, point& y) OUT_OF_LINE {
-    const bool meet = boxes_meet(t, u) && triangles_meet(t, u);
+    const bool meet = boxes_meet(t, u, 0.0) && triangles_meet(t, u);
     double least = feature_gap(t, u, x, y);
     // Rounding may make 0 of a gap: triangles that do not meet are apart.
     if (!meet) return wp::max(least, 1e-300);

@@ -109,6 +109,8 @@ static constexpr auto find_facing = [](int item, const SurfaceTree& surface, con
         const int another = itself ? b[tree.slot_triangle.data[other]] : 1;
         if (one < 0 || another < 0 || one == another) return;
         const point *t = surface.corners.data + 3 * slot, *u = tree.corners.data + 3 * other;
+        // A leaf of a GPU holds several triangles, of which boxes are tested here.
+        if (!boxes_meet(t, u, margin)) return;
         const point n = wp::cross(t[1] - t[0], t[2] - t[0]), m = wp::cross(u[1] - u[0], u[2] - u[0]);
         if (sense * wp::dot(n, m) > -FACING * wp::length(n) * wp::length(m)) return;
         // Whether a triangle lies on one side of a plane, farther away than the margin.

@@ -7,6 +7,14 @@
 static constexpr auto same = [](const point& a, const point& b) {
     return a[0] == b[0] && a[1] == b[1] && a[2] == b[2];
 };
+// Whether the boxes of two triangles are no farther apart than a margin.
+static constexpr auto boxes_meet = [](const point* t, const point* u, double margin) {
+    for (int k = 0; k < 3; ++k)
+        if (wp::max(wp::max(t[0][k], t[1][k]), t[2][k]) + margin < wp::min(wp::min(u[0][k], u[1][k]), u[2][k])
+            || wp::max(wp::max(u[0][k], u[1][k]), u[2][k]) + margin < wp::min(wp::min(t[0][k], t[1][k]), t[2][k]))
+            return false;
+    return true;
+};
 
 // ---- Exact tests, by predicates only.
 
