@@ -25,6 +25,7 @@ __all__ = [
     "read_array",
     "refuse_recording",
     "require_affine",
+    "require_affine_maps",
     "require_callable",
     "require_choice",
     "require_count",
@@ -356,6 +357,26 @@ def require_affine(values: Any, name: str) -> NDArray[np.float64]:
     if table[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
         raise InputError(f"{name}: the last row is {table[3].tolist()}; an affine map has 0, 0, 0, 1")
     return table
+
+
+def require_affine_maps(values: Any, name: str) -> NDArray[np.float64]:
+    """Read an affine map for column vectors, (4, 4), or several, (B, 4, 4), as float64.
+
+    Raises:
+        InputError: As :func:`require_affine`; of several maps the message names the one.
+    """
+    maps: NDArray[np.float64] = read_array(values, name, np.float64)
+    if maps.ndim != 3:
+        return require_affine(values, name)
+    if maps.shape[1:] != (4, 4):
+        raise InputError(f"{name}: shape {maps.shape} is not (4, 4) or (B, 4, 4); give one map or several")
+    bad = ~np.isfinite(maps).all(axis=(1, 2)) | (maps[:, 3] != [0.0, 0.0, 0.0, 1.0]).any(axis=1)
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise InputError(
+            f"{name}: map {row} is {maps[row].tolist()}; give finite numbers, and 0, 0, 0, 1 in the last row"
+        )
+    return maps
 
 
 def _reason(error: Exception) -> str:

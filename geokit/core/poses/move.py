@@ -11,7 +11,7 @@ from geokit.core import launcher
 from geokit.core.base.query import Query
 from geokit.core.gradients.rules import held_by, is_tracked
 from geokit.core.interop import user_arrays
-from geokit.core.require import read_array, require_affine
+from geokit.core.require import read_array, require_affine, require_affine_maps
 from geokit.errors import InputError
 
 __all__ = [
@@ -44,12 +44,7 @@ def require_rigid_maps(transforms: Any, count: int) -> NDArray[np.float64]:
     maps: NDArray[np.float64] = read_array(transforms, "transform", np.float64)
     if maps.shape != (count, 4, 4):
         raise InputError(f"transform: shape {maps.shape} is not ({count}, 4, 4); give a map for each mesh")
-    bad = ~np.isfinite(maps).all(axis=(1, 2)) | (maps[:, 3] != [0.0, 0.0, 0.0, 1.0]).any(axis=1)
-    if bad.any():
-        row = int(np.argmax(bad))
-        raise InputError(
-            f"transform: map {row} is {maps[row].tolist()}; give finite numbers, and 0, 0, 0, 1 in the last row"
-        )
+    maps = require_affine_maps(maps, "transform")
     _require_orthonormal(maps, "map {} is ")
     return maps
 

@@ -91,10 +91,11 @@ static constexpr auto triangle_gap = [](const point* t, const point* u, point& x
 // squared distance in units, count, and ties go to the lowest triangle of the surface, then of the tree: which pair
 // wins in the end depends neither on the order of items nor on how soon the limit falls. Writes the squared distance
 // (in units, inf without a pair) and both slots (-1), and returns the lower one of that distance and the limit.
-static constexpr auto nearest_pair = [](int item, const wp::array_t<wp::vec3d>& corners,
-                                        const wp::array_t<int>& slot_triangle, const SurfaceTree& tree,
-                                        const wp::array_t<float>& slot_boxes, double unit, double limit,
+static constexpr auto nearest_pair = [](int item, const SurfaceTree& surface, const wp::mat33d& linear,
+                                        const point& shift, const SurfaceTree& tree,
+                                        const wp::array_t<float>& slot_boxes, double unit, double limit, int out_row,
                                         wp::array_t<double>& out_squared, wp::array_t<int>& out_slots) -> double {
+    const wp::array_t<int>& slot_triangle = surface.slot_triangle;
     double best = limit, reach = 0.0, far = 0.0;
     int winner = -1, winner_other = -1;
 #if defined(__CUDA_ARCH__)
@@ -102,6 +103,7 @@ static constexpr auto nearest_pair = [](int item, const wp::array_t<wp::vec3d>& 
 #else
     const int width = 8;
 #endif
+    point moved[width][3];
     // Boxes in the tree's local frame.
     double lows[width][3], highs[width][3], low[3], high[3];
     for (int k = 0; k < 3; ++k) {
@@ -110,7 +112,8 @@ static constexpr auto nearest_pair = [](int item, const wp::array_t<wp::vec3d>& 
     }
     for (int lane = 0; lane < width; ++lane) {
         const int slot = width * item + lane;
-        const point* p = corners.data + 3 * slot;
+        point* const p = moved[lane];
+        for (int k = 0; k < 3; ++k) p[k] = wp::mul(linear, surface.corners.data[3 * slot + k]) + shift;
         for (int k = 0; k < 3; ++k) {
             lows[lane][k] = INFINITY;
             highs[lane][k] = -INFINITY;
@@ -127,29 +130,38 @@ static constexpr auto nearest_pair = [](int item, const wp::array_t<wp::vec3d>& 
         const double local = sqrt(best) / unit / tree.scale * (1.0 + 1e-12) + (BOX_PADDING + 1e-14 * far);
         reach = local * local;
     };
-    // Whether a slab between the triangles, across the line of their centers, is wider than the best distance.
+    // Whether a slab between the triangles is wider than the best distance: across the line of their centers, or across
+    // that from the center of one to the nearest point of the other.
     auto surely_farther = [&](const point* t, const point* u) {
-        point a[3], b[3];
-        double size = 0.0, above = -INFINITY, below = INFINITY;
+        point a[3], b[3], nearest;
+        double size = 0.0;
         for (int k = 0; k < 3; ++k) {
             a[k] = t[k] - t[0];
             b[k] = u[k] - t[0];
             size = wp::max(size, wp::max(largest(a[k]), largest(b[k])));
         }
-        const point axis = (b[0] + b[1] + b[2]) - (a[0] + a[1] + a[2]);
-        for (int k = 0; k < 3; ++k) {
-            above = wp::max(above, wp::dot(axis, a[k]));
-            below = wp::min(below, wp::dot(axis, b[k]));
-        }
-        const double gap = below - above - 1e-14 * largest(axis) * size;
-        return gap > 0.0 && gap * gap > best * wp::dot(axis, axis) * (1.0 + 1e-12);
+        auto beyond = [&](const point& axis) {
+            double above = -INFINITY, below = INFINITY;
+            for (int k = 0; k < 3; ++k) {
+                above = wp::max(above, wp::dot(axis, a[k]));
+                below = wp::min(below, wp::dot(axis, b[k]));
+            }
+            const double gap = below - above - 1e-14 * largest(axis) * size;
+            return gap > 0.0 && gap * gap > best * wp::dot(axis, axis) * (1.0 + 1e-12);
+        };
+        const point one = (a[0] + a[1] + a[2]) / 3.0, other = (b[0] + b[1] + b[2]) / 3.0;
+        if (beyond(other - one)) return true;
+        vertex_gap(one, b, nearest);
+        if (beyond(nearest - one)) return true;
+        vertex_gap(other, a, nearest);
+        return beyond(other - nearest);
     };
     auto evaluate = [&](int slot, int other) {
         const int triangle = slot_triangle.data[slot], another = tree.slot_triangle.data[other];
         if (triangle < 0 || another < 0) return;
         point t[3], u[3], x, y;
         for (int k = 0; k < 3; ++k) {
-            t[k] = corners.data[3 * slot + k] * unit;
+            t[k] = moved[slot - width * item][k] * unit;
             u[k] = tree.corners.data[3 * other + k] * unit;
         }
         if (surely_farther(t, u)) return;
@@ -216,6 +228,30 @@ static constexpr auto nearest_pair = [](int item, const wp::array_t<wp::vec3d>& 
         }
         return sum;
     };
+    // As surely_farther, by the line of centers, for a triangle and the eight of a block, whose corners are given axis by
+    // axis: a bit for each.
+    auto all_farther = [&](const point* t, const d8(*u)[3]) {
+        d8 axis[3], above, below, size = 0.0, length = 0.0;
+        for (int k = 0; k < 3; ++k) {
+            axis[k] = u[0][k] + u[1][k] + u[2][k] - (t[0][k] + t[1][k] + t[2][k]);
+            length += axis[k] * axis[k];
+        }
+        for (int corner = 0; corner < 3; ++corner) {
+            d8 a = 0.0, b = 0.0;
+            for (int k = 0; k < 3; ++k) {
+                const double to = t[corner][k] - t[0][k];
+                const d8 from = u[corner][k] - t[0][k];
+                a += axis[k] * to;
+                b += axis[k] * from;
+                size = __builtin_elementwise_max(size, __builtin_elementwise_abs(from) + wp::abs(to));
+            }
+            above = corner ? __builtin_elementwise_max(above, a) : a;
+            below = corner ? __builtin_elementwise_min(below, b) : b;
+        }
+        // No component of the axis is longer than the axis.
+        const d8 gap = below - above - 1e-14 * __builtin_elementwise_sqrt(length) * size;
+        return mask_of((gap > 0.0) & (gap * gap > best * (1.0 + 1e-12) * length));
+    };
     int stack[STACK], height = 1;
     double entry[STACK];
     stack[0] = 0;
@@ -226,10 +262,17 @@ static constexpr auto nearest_pair = [](int item, const wp::array_t<wp::vec3d>& 
         const int node = stack[height];
         if (node < 0) {
             const int first = 8 * (-1 - node);
+            d8 u[3][3];
+            for (int j = 0; j < 8; ++j)
+                for (int k = 0; k < 9; ++k)
+                    u[k / 3][k % 3][j] = tree.corners.data[3 * (first + j) + k / 3][k % 3] * unit;
             for (int lane = 0; lane < 8; ++lane) {
                 if (slot_triangle.data[8 * item + lane] < 0) continue;
                 const d8 gap = gap_of(slot_boxes.data + 6 * first, lows[lane], highs[lane]);
-                for (unsigned mask = mask_of(gap <= reach); mask; mask &= mask - 1) {
+                unsigned mask = mask_of(gap <= reach);
+                if (!mask) continue;
+                const point t[3] = {moved[lane][0] * unit, moved[lane][1] * unit, moved[lane][2] * unit};
+                for (mask &= ~all_farther(t, u); mask; mask &= mask - 1) {
                     const int j = __builtin_ctz(mask);
                     if (gap[j] <= reach) evaluate(8 * item + lane, first + j);
                 }
@@ -253,21 +296,25 @@ static constexpr auto nearest_pair = [](int item, const wp::array_t<wp::vec3d>& 
         }
     }
 #endif
-    out_squared.data[item] = winner < 0 ? (double)INFINITY : best;
-    out_slots.data[2 * item] = winner;
-    out_slots.data[2 * item + 1] = winner_other;
+    out_squared.data[out_row] = winner < 0 ? (double)INFINITY : best;
+    out_slots.data[2 * out_row] = winner;
+    out_slots.data[2 * out_row + 1] = winner_other;
     return best;
 };
 
-// Writes the nearest points of two triangles [world], one of each.
-static constexpr auto points_of_pair = [](int, const wp::array_t<wp::vec3d>& corners, int slot, const SurfaceTree& tree,
-                                          int other, double unit, wp::array_t<wp::vec3d>& out_points) {
+// Writes the nearest points of the pair of slots of a pose [world], one of each surface.
+static constexpr auto points_of_pair = [](int pose, const SurfaceTree& surface, const wp::array_t<wp::mat33d>& linear,
+                                          const wp::array_t<wp::vec3d>& shift, const SurfaceTree& tree,
+                                          const wp::array_t<double>& unit, const wp::array_t<int>& slots,
+                                          wp::array_t<wp::vec3d>& out_points) {
+    const double scale = unit.data[pose];
     point t[3], u[3], x, y;
     for (int k = 0; k < 3; ++k) {
-        t[k] = corners.data[3 * slot + k] * unit;
-        u[k] = tree.corners.data[3 * other + k] * unit;
+        const point& corner = surface.corners.data[3 * slots.data[2 * pose] + k];
+        t[k] = (wp::mul(linear.data[pose], corner) + shift.data[pose]) * scale;
+        u[k] = tree.corners.data[3 * slots.data[2 * pose + 1] + k] * scale;
     }
     triangle_gap(t, u, x, y);
-    out_points.data[0] = x / unit;
-    out_points.data[1] = y / unit;
+    out_points.data[2 * pose] = x / scale;
+    out_points.data[2 * pose + 1] = y / scale;
 };

@@ -1,4 +1,5 @@
-"""The nearest pair of triangles of two surfaces: a pair for each leaf, then the points of the nearest one."""
+"""The nearest pair of triangles of two surfaces, one of which stands in poses: a pair for each of its leaves, then the
+points of the nearest one."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -37,45 +38,64 @@ def nearest_pair() -> wp.float64:
 @wp.kernel
 def bound_by_corners_kernel(
     first: int,
-    corners: wp.array(dtype=wp.vec3d),
-    slot_triangle: wp.array(dtype=int),
+    items: int,
+    surface: SurfaceTree,
     stride: int,
+    linear: wp.array(dtype=wp.mat33d),
+    shift: wp.array(dtype=wp.vec3d),
     tree: SurfaceTree,
-    unit: wp.float64,
+    unit: wp.array(dtype=wp.float64),
     out_bound: wp.array(dtype=wp.int64),
 ):
-    """Lower the bound to the distance of one corner of each ``stride``-th slot.
+    """Lower the bound of each pose to the distance of one corner of each ``stride``-th slot, ``items`` a pose.
 
     The bound is the bits of a number that is not negative: they sort as the numbers do.
     """
-    slot = (first + wp.tid()) * stride
-    if slot_triangle[slot] < 0:
+    pose = (first + wp.tid()) / items
+    slot = (first + wp.tid()) % items * stride
+    if surface.slot_triangle[slot] < 0:
         return
-    p = corners[3 * slot]
+    p = linear[pose] * surface.corners[3 * slot] + shift[pose]
     other = nearest_slot(tree, p, wp.float64(wp.inf), -1)
     a = tree.corners[3 * other]
     b = tree.corners[3 * other + 1]
     c = tree.corners[3 * other + 2]
-    offset = unit * offset_from_triangle(p, a, b, c, closest_on_triangle(p, a, b, c))
-    lower_to(out_bound, 0, wp.cast(wp.dot(offset, offset) * WIDENED, wp.int64))
+    offset = unit[pose] * offset_from_triangle(p, a, b, c, closest_on_triangle(p, a, b, c))
+    lower_to(out_bound, pose, wp.cast(wp.dot(offset, offset) * WIDENED, wp.int64))
 
 
 @wp.kernel
 def nearest_pair_kernel(
     first: int,
-    corners: wp.array(dtype=wp.vec3d),
-    slot_triangle: wp.array(dtype=int),
+    items: int,
+    surface: SurfaceTree,
+    linear: wp.array(dtype=wp.mat33d),
+    shift: wp.array(dtype=wp.vec3d),
     tree: SurfaceTree,
     slot_boxes: wp.array(dtype=wp.float32),
-    unit: wp.float64,
+    unit: wp.array(dtype=wp.float64),
     out_bound: wp.array(dtype=wp.int64),
     out_squared: wp.array(dtype=wp.float64),
     out_slots: wp.array(dtype=int),
 ):
-    """The bound falls while items are at work: it saves time and changes no answer."""
-    limit = wp.cast(out_bound[0], wp.float64)
-    best = nearest_pair(first + wp.tid(), corners, slot_triangle, tree, slot_boxes, unit, limit, out_squared, out_slots)
-    lower_to(out_bound, 0, wp.cast(best, wp.int64))
+    """The bound of a pose falls while its ``items`` are at work: it saves time and changes no answer."""
+    row = first + wp.tid()
+    pose = row / items
+    limit = wp.cast(out_bound[pose], wp.float64)
+    best = nearest_pair(
+        row % items,
+        surface,
+        linear[pose],
+        shift[pose],
+        tree,
+        slot_boxes,
+        unit[pose],
+        limit,
+        row,
+        out_squared,
+        out_slots,
+    )
+    lower_to(out_bound, pose, wp.cast(best, wp.int64))
 
 
 @wp.kernel

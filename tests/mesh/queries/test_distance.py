@@ -7,6 +7,7 @@ import pytest
 
 import geokit as gk
 from benchmarks.catalog import mesh_catalog
+from geokit.mesh.queries import distance as distance_module
 
 TRIANGLE = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
 
@@ -85,6 +86,39 @@ def test_transform_moves_this_surface():
     assert one.distance(other, transform=flat).distance == 3.5
 
 
+@pytest.mark.parametrize("rows", [1 << 22, 40])
+def test_many_poses_have_the_bits_of_one(rows, monkeypatch):
+    """Apart, touching and intersecting, turned, sheared and mirrored; in one block of poses and in several."""
+    monkeypatch.setattr(distance_module, "ROWS", rows)
+    rng = np.random.default_rng(5)
+    maps = np.tile(np.eye(4), (60, 1, 1))
+    maps[:, :3, :3] = np.linalg.qr(rng.normal(size=(60, 3, 3)))[0]
+    maps[::7, :3, :3] *= rng.uniform(0.1, 3.0, (len(maps[::7]), 1, 3))
+    maps[:, :3, 3] = rng.uniform(-3.0, 3.0, (60, 3))
+    maps[3] = moved([2.0, 0, 0])
+    for mesh, another in (
+        (mesh_catalog.torus(), gk.mesh.box((2, 2, 2))),
+        (gk.mesh.box((2, 2, 2)), gk.mesh.box((2, 2, 2))),
+    ):
+        one, other = surface(mesh), surface(another)
+        found = one.distance(other, transform=maps)
+        assert {(found.distance == 0.0).any(), (found.distance > 0.0).any()} == {True}
+        each = [one.distance(other, transform=map) for map in maps]
+        for field in found._fields:
+            np.testing.assert_array_equal(getattr(found, field), np.array([getattr(single, field) for single in each]))
+        # Pairs that slabs and bounds leave out are no nearer: vertices of either are as far as that or farther.
+        for map, least in zip(maps[:20], found.distance[:20], strict=True):
+            placed = mesh.vertices @ map[:3, :3].T + map[:3, 3]
+            assert other.closest_point(placed).distance.min() >= least * (1 - 1e-12) - 1e-15
+
+
+def test_no_poses_and_one():
+    one, other = surface(gk.mesh.box((1, 1, 1))), surface(gk.mesh.box((1, 1, 1), center=(5, 0, 0)))
+    none = one.distance(other, transform=np.zeros((0, 4, 4)))
+    assert [np.shape(field) for field in none] == [(0,), (0, 3), (0, 3), (0,), (0,)]
+    assert one.distance(other, transform=moved([1.0, 0, 0])[None]).distance.tolist() == [3.0]
+
+
 def test_meets_exactly_where_triangles_intersect():
     """One rounding apart is apart, and one rounding in is in."""
     one, other = surface(gk.mesh.box((2, 2, 2))), surface(gk.mesh.box((2, 2, 2)))
@@ -128,6 +162,10 @@ def test_updated_surfaces():
         (np.full((4, 4), np.nan), "transform: .*not finite"),
         (2.0 * np.eye(4), "transform: the last row"),
         (moved([1e200, 0, 0]), "transform: it moves a corner beyond"),
+        (np.stack([np.eye(4), moved([1e200, 0, 0])]), "transform: map 1 moves a corner beyond"),
+        (np.stack([np.eye(4), 2.0 * np.eye(4)]), "transform: map 1 is .*0, 0, 0, 1 in the last row"),
+        (np.stack([np.eye(4), moved([np.inf, 0, 0])]), "transform: map 1 is .*finite"),
+        (np.zeros((2, 3, 4)), r"transform: shape \(2, 3, 4\) is not"),
     ],
 )
 def test_refuses_maps(transform, message):
