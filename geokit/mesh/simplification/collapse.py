@@ -21,6 +21,8 @@ ROUND_GAIN = 0.03
 STEPS = 1 << 11
 # Faces of a part.
 PART = 1 << 14
+# Parts of a mesh that is to have a number of faces are one again before the last ones go, as a share of that number.
+LAST = 0.15
 
 
 def collapsed(
@@ -82,12 +84,17 @@ def collapsed(
     hold(sample=sample, sample_face=sample_face, first_sample=first_sample, next_sample=next_sample)
     hold(input_position=mesh.vertices, input_face=corner)
     hold(heap=np.empty(vertices, np.int32), heap_place=np.empty(vertices, np.int32))
-    left, before, turn = faces, math.inf, 0
+    left, before, turn, size = faces, math.inf, 0, PART
     # Each round has quadrics of the faces that are left: the edges that the last one stopped at may cost less now, and
     # those between two parts lie within one.
-    while left > face_count and left < (1.0 - ROUND_GAIN) * before:
+    while left > face_count:
+        ends = left > (1.0 - ROUND_GAIN) * before
+        if ends and (limited or size == faces):
+            break
+        if not limited and (ends or left < (1.0 + LAST) * face_count):
+            size = faces
         before = left
-        part, sizes = _parts(kept["position"], kept["face"], PART if limited else faces, turn % 2 == 1)
+        part, sizes = _parts(kept["position"], kept["face"], size, turn % 2 == 1)
         np.logical_or(stays, part < 0, out=kept["fixed"])
         begin = np.cumsum([0, *np.bincount(part[part >= 0], minlength=len(sizes))])
         kept["quadric"][:] = 0.0
@@ -95,21 +102,30 @@ def collapsed(
         launcher.launch(kernels.prepare_kernel, vertices, [], [state], device)
         launcher.launch(kernels.choose_kernel, vertices, [], [state], device)
         # Sorted is one way to be a heap.
-        order = np.lexsort([kept["error"], part])
-        order = order[(part[order] >= 0) & (kept["partner"][order] >= 0)]
+        order = np.flatnonzero((part >= 0) & (kept["partner"] >= 0))
+        order = order[np.lexsort([kept["error"][order], part[order]])]
         waiting = np.bincount(part[order], minlength=len(sizes))
         place = np.arange(len(order)) - np.repeat(np.cumsum(waiting) - waiting, waiting)
         kept["heap"][begin[part[order]] + place] = order
         kept["heap_place"][:] = -1
         kept["heap_place"][order] = place
         hold(heap_begin=begin[:-1].astype(np.int32))
-        wanted = (
-            -(-sizes * face_count // left) if len(sizes) == 1 else np.maximum(sizes * face_count // left, sizes // 2)
-        )
-        hold(count=np.stack([waiting, sizes, wanted], axis=1).astype(np.int32).reshape(-1))
-        count = kept["count"].reshape(-1, 3).T
-        while ((count[0] > 0) & (count[1] > count[2])).any():
-            launcher.launch(kernels.collapse_kernel, len(sizes), [STEPS], [state], device, grain=1)
+        shared = not limited and len(sizes) > 1
+        wanted = np.maximum(-(-sizes * face_count // left), sizes // 2 * (len(sizes) > 1))
+        hold(count=np.stack([waiting, sizes, wanted, waiting * (not shared)], axis=1).astype(np.int32).reshape(-1))
+        count = kept["count"].reshape(-1, 4).T
+        worst = last = math.inf
+        while True:
+            if not count[3].any():
+                rows = np.flatnonzero(kept["heap_place"] >= 0)
+                some = min((left - face_count) // 2, len(rows) // 2)
+                if not shared or not some or left < (1.0 + LAST) * face_count or left > (1.0 - ROUND_GAIN) * last:
+                    break
+                # Each part loses those of its edges that would go next if the parts were one.
+                worst, last = float(np.partition(kept["error"][rows], some)[some]), left
+                share = np.bincount(part[rows[kept["error"][rows] <= worst]], minlength=len(sizes))
+                count[2] = np.maximum(count[1] - 2 * (share * some // share.sum()), sizes // 2)
+            launcher.launch(kernels.collapse_kernel, len(sizes), [STEPS, worst], [state], device, grain=1)
             left = int(count[1].sum())
             if tell:
                 tell(left)
@@ -132,10 +148,10 @@ def _parts(
     if len(corners) < 2 * size:
         part[corners] = 0
         return part, np.array([len(corners)])
-    middle = position[corners].mean(axis=1)
-    low = middle.min(axis=0)
+    place = position[corners[:, 0]]
+    low = place.min(axis=0)
     device = launcher.resolve_device("cpu")
-    order = launcher.morton_order(HostArray(middle).warp, low, float((middle.max(axis=0) - low).max()), device)
+    order = launcher.morton_order(HostArray(place).warp, low, float((place.max(axis=0) - low).max()), device)
     of_face = np.empty(len(corners), np.int64)
     of_face[order.numpy()[: len(corners)]] = (np.arange(len(corners)) + size // 2 * shifted) // size
     at_corner = of_face.repeat(3)

@@ -66,7 +66,7 @@ class Decimation:
     input_face: wp.array(dtype=int)
     # Squared limit around each face of the input; empty for none.
     limit: wp.array(dtype=wp.float64)
-    # Of each part: vertices in the heap, faces left, and the fewest that are wanted.
+    # Of each part: vertices in the heap, faces left, the fewest that are wanted, and whether an edge can be tried.
     count: wp.array(dtype=int)
 
 
@@ -96,5 +96,5 @@ def choose_kernel(first: int, out_state: Decimation): ...
 
 @wp.kernel
 @cpp.native_item("mesh/simplification/collapse_cpu.inl", "collapse", **_CONSTANTS)
-def collapse_kernel(first: int, steps: int, out_state: Decimation):
-    """Tries the next ``steps`` edges of each part."""
+def collapse_kernel(first: int, steps: int, worst: wp.float64, out_state: Decimation):
+    """Tries the next ``steps`` edges of each part, of no larger error than the worst."""
