@@ -23,6 +23,7 @@ from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.surfaces.objects import require_mesh
 
 if TYPE_CHECKING:
+    from geokit.mesh.simplification.collapse import Past
     from geokit.mesh.surfaces.surface import Surface
 
 __all__ = ["Simplified", "simplify"]
@@ -75,11 +76,9 @@ def _of_known(operation: Any) -> Any:
 class _Unmeasured(Simplified):
     """A result whose distances are measured when they are first read; in all else it is the result with them."""
 
-    measure: Callable[[], tuple[float, float]]
-
     def __new__(cls, mesh: TriangleMesh, measure: Callable[[], tuple[float, float]]) -> _Unmeasured:
         found = tuple.__new__(cls, (mesh, math.nan, math.nan))
-        found.measure = measure
+        found.__dict__["measure"] = measure
         return found
 
     @cached_property
@@ -231,13 +230,15 @@ class _Original:
 
     def fewest(self, limit: float) -> TriangleMesh | None:
         """The mesh with the fewest faces found within the limit; None if nothing could be collapsed."""
+        from geokit.mesh.simplification.collapse import Past
         from geokit.mesh.simplification.proof import Proof
         from geokit.mesh.surfaces.surface import Surface
 
         faces = self.local.faces
         limits, proof = np.full(len(faces), SHARE * limit), Proof(self.surface, limit, self.shape.oriented)
+        past = Past(self.local)
         for number in range(TRIALS):
-            found, source = self.collapsed(limits, 0, number)
+            found, source = self.collapsed(limits, 0, number, past)
             if len(found.faces) == len(faces):
                 return None
             wrong = proof.wrong(Surface(found, device=self.device), source)
@@ -252,7 +253,7 @@ class _Original:
         return None
 
     def collapsed(
-        self, limit: NDArray[np.float64] | float, face_count: int, number: int = 0
+        self, limit: NDArray[np.float64] | float, face_count: int, number: int = 0, past: Past | None = None
     ) -> tuple[TriangleMesh, NDArray[np.int64]]:
         """The mesh with edges collapsed within the limit, and the face of the original that each face was."""
         from geokit.mesh.simplification.collapse import collapsed
@@ -263,7 +264,7 @@ class _Original:
             if self.progress is not None:
                 self.progress(int(LAST_PERCENT * (1.0 - 0.5**number * (0.5 + 0.5 * left / most))), 100)
 
-        return collapsed(self.local, limit, face_count, tell=tell)
+        return collapsed(self.local, limit, face_count, past=past, tell=tell)
 
     def keeps_shape(self, found: TriangleMesh) -> bool:
         from geokit.mesh.simplification.invariants import shape_of

@@ -13,7 +13,7 @@ from geokit.core import launcher
 from geokit.core.memory.host_array import HostArray
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 
-__all__ = ["collapsed"]
+__all__ = ["Past", "collapsed"]
 
 # Rounds end when one takes less than this share of the faces.
 ROUND_GAIN = 0.03
@@ -21,8 +21,25 @@ ROUND_GAIN = 0.03
 STEPS = 1 << 11
 # Faces of a part.
 PART = 1 << 14
+# Rounds that take this share of the faces end far below the limit, where each other limit is above that share of it, if
+# as many of them follow.
+HALVED, EARLY, LATE = 0.45, 0.3, 2
+# What collapses change.
+CHANGED = ("position", "face", "first_corner", "next_corner", "first_sample", "next_sample")
 # Parts of a mesh that is to have a number of faces are one again before the last ones go, as a share of that number.
 LAST = 0.15
+
+
+class Past:
+    """What a trial did: the next one repeats it where the limit is the same or still kept."""
+
+    def __init__(self, mesh: TriangleMesh) -> None:
+        self.limit = np.zeros(len(mesh.faces))
+        # The vertex that each became, and where; of each round those that went, where each part begins, and its number.
+        self.into, self.new_place = np.arange(len(mesh.vertices), dtype=np.int32), np.empty(mesh.vertices.shape)
+        self.rounds: list[tuple[NDArray[np.int32], ...]] = []
+        # The mesh after each of the rounds that halve it, and how many rounds these were.
+        self.early: list[tuple[dict[str, NDArray[Any]], int]] = []
 
 
 def collapsed(
@@ -31,6 +48,7 @@ def collapsed(
     face_count: int,
     *,
     fixed: NDArray[np.bool_] | None = None,
+    past: Past | None = None,
     tell: Callable[[int], None] | None = None,
 ) -> tuple[TriangleMesh, NDArray[np.int64]]:
     """Collapse edges until none keeps the limit or ``face_count`` faces are left.
@@ -43,6 +61,7 @@ def collapsed(
         limit: Distance, also one around each face (F,); inf for none.
         face_count: Wanted number of faces.
         fixed: Whether each vertex stays as it is (V,).
+        past: The last trial with this mesh, whose limits were nowhere less; it becomes this one.
         tell: Called with the number of faces that are left, many times.
     Returns:
         TriangleMesh without unused vertices, with the topology of the input, and the face of the input that each of its
@@ -64,39 +83,67 @@ def collapsed(
             kept[name] = np.ascontiguousarray(values)
             setattr(state, name, HostArray(kept[name]).warp)
 
-    corner = mesh.faces.reshape(-1)
-    first_corner, next_corner = _lists(corner, vertices)
-    hold(position=mesh.vertices.copy(), face=corner.copy(), first_corner=first_corner, next_corner=next_corner)
+    corner, limited = mesh.faces.reshape(-1), np.ndim(limit) > 0 or math.isfinite(limit)
+    limits = np.array(np.broadcast_to(limit, faces if limited else 0))
+    is_first, past = past is not None and not past.rounds, past or Past(mesh)
+    if past.early[LATE:] and limits.min() > EARLY * limits.max():
+        arrays, repeated = past.early[-1 - LATE]
+        hold(**(arrays | {name: arrays[name].copy() for name in CHANGED}))
+    else:
+        past.early, repeated = [], 0
+        first_corner, next_corner = _lists(corner, vertices)
+        hold(position=mesh.vertices.copy(), face=corner.copy(), first_corner=first_corner, next_corner=next_corner)
+        sample, sample_face = np.empty((0, 3)), corner[:0]
+        if limited:
+            # Vertices and middles of faces, each with one of its faces.
+            used = np.flatnonzero(first_corner >= 0)
+            sample = np.concatenate([mesh.vertices[used], mesh.vertices[mesh.faces].mean(axis=1)])
+            sample_face = np.concatenate([first_corner[used] // 3, np.arange(faces, dtype=np.int32)])
+        first_sample, next_sample = _lists(sample_face, faces)
+        hold(sample=sample, sample_face=sample_face, first_sample=first_sample, next_sample=next_sample)
     hold(quadric=np.empty(10 * vertices), locked=np.zeros(vertices, np.int32))
     stays = np.zeros(vertices, np.bool_) if fixed is None else fixed
     hold(fixed=stays.copy())
     hold(error=np.empty(vertices), partner=np.empty(vertices, np.int32))
     hold(tried=np.empty(vertices), tried_partner=np.full(vertices, -1, np.int32))
-    sample, sample_face = np.empty((0, 3)), corner[:0]
-    limited = np.ndim(limit) > 0 or math.isfinite(limit)
-    hold(limit=np.broadcast_to(np.square(limit), faces if limited else 0))
-    if limited:
-        # Vertices and middles of faces, each with one of its faces.
-        used = np.flatnonzero(first_corner >= 0)
-        sample = np.concatenate([mesh.vertices[used], mesh.vertices[mesh.faces].mean(axis=1)])
-        sample_face = np.concatenate([first_corner[used] // 3, np.arange(faces, dtype=np.int32)])
-    first_sample, next_sample = _lists(sample_face, faces)
-    hold(sample=sample, sample_face=sample_face, first_sample=first_sample, next_sample=next_sample)
     hold(input_position=mesh.vertices, input_face=corner)
     hold(heap=np.empty(vertices, np.int32), heap_place=np.empty(vertices, np.int32))
-    left, before, turn, size = faces, math.inf, 0, PART
+    hold(into=past.into, new_place=past.new_place, limit=np.square(limits))
+    changed, became = np.zeros(vertices, np.int32), past.into
+    if past.rounds:
+        while (became[became] != became).any():
+            became = became[became]
+        changed[np.isin(became, became[mesh.faces[limits < past.limit]])] = kernels.WATCHED
+    past.limit = limits
+    hold(changed=changed)
+
+    def counts(log: NDArray[np.int32], begin: NDArray[np.int32]) -> NDArray[np.int32]:
+        hold(log=log, heap_begin=begin, count=np.zeros(kernels.COUNTS * len(begin), np.int32))
+        return kept["count"].reshape(-1, kernels.COUNTS).T
+
+    for number, (log, begin, again) in enumerate(past.rounds[repeated:], repeated):
+        count = counts(log, begin)
+        count[3] = count[5] = again
+        while count[3].any():
+            launcher.launch(kernels.collapse_kernel, len(begin), [STEPS, 0.0], [state], device, grain=1)
+        past.rounds[number] = log, begin, count[4]
+    if past.rounds:
+        # All others were tried in vain, and nothing around them is different.
+        corners = kept["face"].reshape(-1, 3)
+        awake = np.zeros(vertices, np.bool_)
+        awake[corners[(corners[:, 0] >= 0) & (changed[corners] == kernels.SKIPPED).any(axis=1)]] = True
+        stays = stays | ~awake
+    left, gained, turn, size = int((kept["face"][::3] >= 0).sum()), 1.0, 0, PART
     # Each round has quadrics of the faces that are left: the edges that the last one stopped at may cost less now, and
     # those between two parts lie within one.
     while left > face_count:
-        ends = left > (1.0 - ROUND_GAIN) * before
-        if ends and (limited or size == faces):
+        if gained < ROUND_GAIN and (limited or size == faces):
             break
-        if not limited and (ends or left < (1.0 + LAST) * face_count):
-            size = faces
-        before = left
-        part, sizes = _parts(kept["position"], kept["face"], size, turn % 2 == 1)
+        size = PART if limited or (gained > ROUND_GAIN and left > (1.0 + LAST) * face_count) else faces
+        part, sizes = _parts(kept["position"], kept["face"], stays, size, turn % 2 == 1)
+        before, tried = left, max(int(sizes.sum()), 1)
         np.logical_or(stays, part < 0, out=kept["fixed"])
-        begin = np.cumsum([0, *np.bincount(part[part >= 0], minlength=len(sizes))])
+        begin = np.cumsum([0, *np.bincount(part[part >= 0], minlength=len(sizes))], dtype=np.int32)
         kept["quadric"][:] = 0.0
         kept["tried"][:] = -1.0
         launcher.launch(kernels.prepare_kernel, vertices, [], [state], device)
@@ -109,11 +156,10 @@ def collapsed(
         kept["heap"][begin[part[order]] + place] = order
         kept["heap_place"][:] = -1
         kept["heap_place"][order] = place
-        hold(heap_begin=begin[:-1].astype(np.int32))
         shared = not limited and len(sizes) > 1
-        wanted = np.maximum(-(-sizes * face_count // left), sizes // 2 * (len(sizes) > 1))
-        hold(count=np.stack([waiting, sizes, wanted, waiting * (not shared)], axis=1).astype(np.int32).reshape(-1))
-        count = kept["count"].reshape(-1, 4).T
+        wanted = np.maximum(sizes - (left - face_count) * sizes // tried, sizes // 2 * (len(sizes) > 1))
+        count = counts(np.empty(begin[-1], np.int32), begin[:-1])
+        count[:4] = waiting, sizes, wanted, waiting * (not shared)
         worst = last = math.inf
         while True:
             if not count[3].any():
@@ -126,24 +172,29 @@ def collapsed(
                 share = np.bincount(part[rows[kept["error"][rows] <= worst]], minlength=len(sizes))
                 count[2] = np.maximum(count[1] - 2 * (share * some // share.sum()), sizes // 2)
             launcher.launch(kernels.collapse_kernel, len(sizes), [STEPS, worst], [state], device, grain=1)
-            left = int(count[1].sum())
+            left = before - int((sizes - count[1]).sum())
             if tell:
                 tell(left)
+        past.rounds.append((kept["log"], begin[:-1], count[4]))
+        gained = (before - left) / tried
         turn += 1
+        if is_first and gained > HALVED and len(sizes) > 1:
+            past.early.append((kept | {name: kept[name].copy() for name in CHANGED}, turn))
     source = np.flatnonzero(kept["face"][::3] >= 0)
     used, at = np.unique(kept["face"].reshape(-1, 3)[source], return_inverse=True)
     return TriangleMesh(kept["position"][used], at.reshape(-1, 3).astype(np.int32)), source
 
 
 def _parts(
-    position: NDArray[np.float64], face: NDArray[np.int32], size: int, shifted: bool
+    position: NDArray[np.float64], face: NDArray[np.int32], stays: NDArray[np.bool_], size: int, shifted: bool
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """The part of each vertex, -1 for those of several parts and of none (V,), and the faces of each part.
 
-    Parts are neighbors along a Morton curve; shifted by half, most borders lie within parts.
+    Faces of which all corners stay are in none. Parts are neighbors along a Morton curve; shifted by half, most borders
+    lie within parts.
     """
     corners = face.reshape(-1, 3)
-    corners = corners[corners[:, 0] >= 0]
+    corners = corners[(corners[:, 0] >= 0) & ~stays[corners].all(axis=1)]
     part = np.full(len(position), -1)
     if len(corners) < 2 * size:
         part[corners] = 0

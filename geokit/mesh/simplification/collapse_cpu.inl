@@ -189,9 +189,10 @@ static constexpr auto collapse = [](int part, int steps, double worst, const Dec
     point* const position = state.position.data;
     int* const heap = state.heap.data + state.heap_begin.data[part];
     int* const place = state.heap_place.data;
-    int& heap_size = state.count.data[4 * part];
-    int& live = state.count.data[4 * part + 1];
-    const int wanted = state.count.data[4 * part + 2];
+    int* const count = state.count.data + COUNTS * part;
+    int &heap_size = count[0], &live = count[1], &logged = count[4], &next = count[6];
+    const int wanted = count[2], again = count[5];
+    int *const log = state.log.data + state.heap_begin.data[part], *const changed = state.changed.data;
     const bool limited = state.limit.shape[0] > 0;
 
     // The heap holds vertices, by the error of the edge that each has chosen.
@@ -428,13 +429,19 @@ static constexpr auto collapse = [](int part, int steps, double worst, const Dec
         }
     };
 
-    auto collapse = [&]() {
-        if (!ring_of(state, kept, around) || !ring_of(state, gone, there)) return false;
-        point x;
-        if (!keeps_topology()) return false;
-        place_of(state, kept, gone, x);
-        if (!keeps_facing(x) || (limited && !keeps_limit(x))) return false;
+    // To the place of least error, or as logged: where nothing has changed around, that keeps the limit.
+    auto collapse = [&](bool is_logged) {
+        if (!ring_of(state, kept, around) || !ring_of(state, gone, there) || !keeps_topology()) return false;
+        bool is_new = !is_logged;
+        for (const Ring* ring : rings)
+            for (int k = 0; k < ring->neighbor_count; ++k) is_new |= changed[ring->neighbors[k]] != 0;
+        point x = state.new_place.data[gone];
+        if (!is_logged) place_of(state, kept, gone, x);
+        if (!keeps_facing(x) || (limited && is_new && !keeps_limit(x))) return false;
         if (limited) share_samples();
+        log[logged++] = gone;
+        state.into.data[gone] = kept;
+        state.new_place.data[gone] = x;
         position[kept] = x;
         for (int i = 0; i < 10; ++i) state.quadric.data[10 * kept + i] += state.quadric.data[10 * gone + i];
         for (int k = 0; k < there.face_count; ++k) {
@@ -461,11 +468,18 @@ static constexpr auto collapse = [](int part, int steps, double worst, const Dec
         sort_in(v);
     };
 
-    auto goes_on = [&]() { return heap_size && live > wanted && state.error.data[heap[0]] <= worst; };
+    auto goes_on = [&]() { return next < again || (heap_size && live > wanted && state.error.data[heap[0]] <= worst); };
     for (int step = 0; step < steps && goes_on(); ++step) {
+        if (next < again) {
+            gone = log[next++];
+            kept = state.into.data[gone];
+            if (changed[kept] == SKIPPED || changed[gone] == SKIPPED || !collapse(true))
+                changed[kept] = changed[gone] = SKIPPED;
+            continue;
+        }
         kept = heap[0];
         gone = state.partner.data[kept];
-        if (!collapse()) {
+        if (!collapse(false)) {
             state.tried.data[kept] = state.error.data[kept];
             state.tried_partner.data[kept] = gone;
             choose(kept, state);
@@ -491,5 +505,5 @@ static constexpr auto collapse = [](int part, int steps, double worst, const Dec
             }
         }
     }
-    state.count.data[4 * part + 3] = goes_on();
+    count[3] = goes_on();
 };
