@@ -128,7 +128,7 @@ def simplify(
         tolerance: Largest distance between the surfaces [world].
         face_count: Largest number of faces.
         device: Where distances are measured: "cpu", "cuda:0", ...; None for the first GPU, else the CPU. Edges are
-            collapsed on the CPU: on its threads within a tolerance, on one of them to a number of faces.
+            collapsed on the threads of the CPU.
         progress: Called as ``progress(percent, 100)`` many times, with an estimate of the end.
     Returns:
         Simplified with mesh, deviation and deviation_p999 [world].
