@@ -21,9 +21,9 @@ ROUND_GAIN = 0.03
 STEPS = 1 << 11
 # Faces of a part.
 PART = 1 << 14
-# Rounds that take this share of the faces end far below the limit, where each other limit is above that share of it, if
-# as many of them follow.
-HALVED, EARLY, LATE = 0.45, 0.3, 2
+# Trials begin after rounds that took this share of the faces if so many more followed: errors are about a quarter of
+# the limit then. That is so unless a limit is below a share of the largest one.
+HALVED, LATE, EARLY = 0.45, 2, 0.3
 # What collapses change.
 CHANGED = ("position", "face", "first_corner", "next_corner", "first_sample", "next_sample")
 # Parts of a mesh that is to have a number of faces are one again before the last ones go, as a share of that number.
@@ -35,7 +35,7 @@ class Past:
 
     def __init__(self, mesh: TriangleMesh) -> None:
         self.limit = np.zeros(len(mesh.faces))
-        # The vertex that each became, and where; of each round those that went, where each part begins, and its number.
+        # The vertex that each became, and where. Of each round those that went, where each part begins, and its length.
         self.into, self.new_place = np.arange(len(mesh.vertices), dtype=np.int32), np.empty(mesh.vertices.shape)
         self.rounds: list[tuple[NDArray[np.int32], ...]] = []
         # The mesh after each of the rounds that halve it, and how many rounds these were.
@@ -108,14 +108,14 @@ def collapsed(
     hold(tried=np.empty(vertices), tried_partner=np.full(vertices, -1, np.int32))
     hold(input_position=mesh.vertices, input_face=corner)
     hold(heap=np.empty(vertices, np.int32), heap_place=np.empty(vertices, np.int32))
-    hold(into=past.into, new_place=past.new_place, limit=np.square(limits))
     changed, became = np.zeros(vertices, np.int32), past.into
+    hold(into=past.into, new_place=past.new_place, changed=changed, limit=np.square(limits))
     if past.rounds:
+        # Of two vertices the one of higher number goes.
         while (became[became] != became).any():
             became = became[became]
         changed[np.isin(became, became[mesh.faces[limits < past.limit]])] = kernels.WATCHED
     past.limit = limits
-    hold(changed=changed)
 
     def counts(log: NDArray[np.int32], begin: NDArray[np.int32]) -> NDArray[np.int32]:
         hold(log=log, heap_begin=begin, count=np.zeros(kernels.COUNTS * len(begin), np.int32))
