@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import cached_property
+from operator import attrgetter, eq, getitem, ne
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -20,6 +23,7 @@ from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.surfaces.objects import require_mesh
 
 if TYPE_CHECKING:
+    from geokit.mesh.simplification.collapse import Past
     from geokit.mesh.surfaces.surface import Surface
 
 __all__ = ["Simplified", "simplify"]
@@ -48,7 +52,9 @@ SEED = 20_260_601
 
 
 class Simplified(NamedTuple):
-    """A mesh with fewer faces, and its deviation from the original.
+    """A mesh with fewer faces, and its deviation from the original, which is measured when it is first read.
+
+    Until then the result holds on to the original.
 
     Attributes:
         mesh: The simplified mesh.
@@ -61,6 +67,28 @@ class Simplified(NamedTuple):
     mesh: TriangleMesh
     deviation: float
     deviation_p999: float
+
+
+def _of_known(operation: Any) -> Any:
+    return lambda self, *others, **named: operation(self.known, *others, **named)
+
+
+class _Unmeasured(Simplified):
+    """A result whose distances are measured when they are first read; in all else it is the result with them."""
+
+    def __new__(cls, mesh: TriangleMesh, measure: Callable[[], tuple[float, float]]) -> _Unmeasured:
+        found = tuple.__new__(cls, (mesh, math.nan, math.nan))
+        found.__dict__["measure"] = measure
+        return found
+
+    @cached_property
+    def known(self) -> Simplified:
+        return Simplified(self.mesh, *self.__dict__.pop("measure")())
+
+    deviation, deviation_p999 = map(property, map(_of_known, map(attrgetter, Simplified._fields[1:])))
+    __iter__, __getitem__ = map(_of_known, (iter, getitem))
+    __eq__, __ne__, __hash__, __repr__ = map(_of_known, (eq, ne, hash, repr))
+    _replace, __reduce__ = _of_known(Simplified._replace), _of_known(lambda known: (Simplified, tuple(known)))
 
 
 @needs(lambda mesh, **_: BYTES_PER_SIMPLIFIED * mesh.face_count, fatal=True)
@@ -100,7 +128,7 @@ def simplify(
         tolerance: Largest distance between the surfaces [world].
         face_count: Largest number of faces.
         device: Where distances are measured: "cpu", "cuda:0", ...; None for the first GPU, else the CPU. Edges are
-            collapsed on the CPU: on its threads within a tolerance, on one of them to a number of faces.
+            collapsed on the threads of the CPU.
         progress: Called as ``progress(percent, 100)`` many times, with an estimate of the end.
     Returns:
         Simplified with mesh, deviation and deviation_p999 [world].
@@ -137,13 +165,12 @@ def simplify(
     else:
         assert tolerance is not None
         found = within_tolerance(mesh, tolerance, target, progress)
-    return found if found.mesh is mesh else found._replace(mesh=_with_attributes(found.mesh, mesh, device))
+    if found.mesh is mesh or not (mesh.vertex_data or mesh.face_data or mesh.corner_data or mesh.materials):
+        return found
+    return _Unmeasured(_with_attributes(found.mesh, mesh, device), lambda: found[1:])
 
 
 def _with_attributes(simple: TriangleMesh, mesh: TriangleMesh, device: Any) -> TriangleMesh:
-    data = mesh.vertex_data or mesh.face_data or mesh.corner_data
-    if not (data or mesh.materials):
-        return simple
     from geokit.mesh._repair import merge_vertices
     from geokit.mesh._transfer import transfer_attributes
 
@@ -160,11 +187,8 @@ def within_tolerance(mesh: TriangleMesh, tolerance: float, device: Any, progress
     found = original.fewest(limit) if limit > 0.0 else None
     if progress:
         progress(100, 100)
-    if found is None:
-        return Simplified(mesh, 0.0, 0.0)
-    # Proven to be within the limit; the measured bound is sometimes slightly wider.
-    deviation = min(found.deviation, tolerance)
-    return found._replace(deviation=deviation, deviation_p999=min(found.deviation_p999, deviation))
+    # Proven to be within the tolerance; the measured bound is sometimes slightly wider.
+    return original.result(found, BOUND_SHARE * limit, tolerance) if found else Simplified(mesh, 0.0, 0.0)
 
 
 def _with_face_count(mesh: TriangleMesh, wanted: int, device: Any) -> Simplified:
@@ -172,11 +196,8 @@ def _with_face_count(mesh: TriangleMesh, wanted: int, device: Any) -> Simplified
         return Simplified(mesh, 0.0, 0.0)
     original = _Original(mesh, device)
     found, _ = original.collapsed(math.inf, wanted)
-    if len(found.faces) <= wanted:
-        surface = original.surface_of(found)
-        bound = original.bound(surface, BOUND_SIZE)
-        if original.is_kept_by(found, bound):
-            return original.measured(surface, bound)
+    if len(found.faces) <= wanted and original.is_kept_by(found):
+        return original.result(found, BOUND_SIZE, math.inf)
     reachable = max(len(found.faces), wanted + 1)
     raise InputError(
         f"face_count: with {wanted} faces {mesh.name or 'the mesh'} would not hang together as it does; "
@@ -207,21 +228,23 @@ class _Original:
         self.shape = shape_of(self.local)
         self.surface = Surface(self.local, device=device)
 
-    def fewest(self, limit: float) -> Simplified | None:
+    def fewest(self, limit: float) -> TriangleMesh | None:
         """The mesh with the fewest faces found within the limit; None if nothing could be collapsed."""
+        from geokit.mesh.simplification.collapse import Past
         from geokit.mesh.simplification.proof import Proof
+        from geokit.mesh.surfaces.surface import Surface
 
         faces = self.local.faces
         limits, proof = np.full(len(faces), SHARE * limit), Proof(self.surface, limit, self.shape.oriented)
+        past = Past(self.local)
         for number in range(TRIALS):
-            found, source = self.collapsed(limits, 0, number)
+            found, source = self.collapsed(limits, 0, number, past)
             if len(found.faces) == len(faces):
                 return None
-            surface = self.surface_of(found)
-            wrong = proof.wrong(surface, source)
+            wrong = proof.wrong(Surface(found, device=self.device), source)
             if not wrong.any():
                 if self.keeps_shape(found):
-                    return self.measured(surface, self.bound(surface, BOUND_SHARE * limit))
+                    return found
                 wrong[:] = True
             # And around it.
             at = np.zeros(len(self.local.vertices), bool)
@@ -230,7 +253,7 @@ class _Original:
         return None
 
     def collapsed(
-        self, limit: NDArray[np.float64] | float, face_count: int, number: int = 0
+        self, limit: NDArray[np.float64] | float, face_count: int, number: int = 0, past: Past | None = None
     ) -> tuple[TriangleMesh, NDArray[np.int64]]:
         """The mesh with edges collapsed within the limit, and the face of the original that each face was."""
         from geokit.mesh.simplification.collapse import collapsed
@@ -241,42 +264,43 @@ class _Original:
             if self.progress is not None:
                 self.progress(int(LAST_PERCENT * (1.0 - 0.5**number * (0.5 + 0.5 * left / most))), 100)
 
-        return collapsed(self.local, limit, face_count, tell=tell)
+        return collapsed(self.local, limit, face_count, past=past, tell=tell)
 
     def keeps_shape(self, found: TriangleMesh) -> bool:
         from geokit.mesh.simplification.invariants import shape_of
 
         return self.shape.is_kept_by(shape_of(found))
 
-    def is_kept_by(self, found: TriangleMesh, distance: float) -> bool:
-        """Whether topology and sides of the faces are the original's, compared within a distance."""
+    def is_kept_by(self, found: TriangleMesh) -> bool:
+        """Whether topology and sides of the faces are the original's, compared within the deviation."""
         from geokit.mesh.simplification.invariants import turned_faces
 
+        # The deviation takes long, and matters only where no face alike is nearest or touches.
         return self.keeps_shape(found) and not (
-            self.shape.oriented and len(turned_faces(found, self.surface, distance))
+            self.shape.oriented
+            and len(turned_faces(found, self.surface, 0.0))
+            and len(turned_faces(found, self.surface, self.bound(found, BOUND_SIZE)))
         )
 
-    def surface_of(self, found: TriangleMesh) -> Surface:
-        from geokit.mesh.surfaces.surface import Surface
-
-        return Surface(found, device=self.device)
-
-    def bound(self, surface: Surface, width: float) -> float:
+    def bound(self, found: TriangleMesh | Surface, width: float) -> float:
         """An upper bound of the deviation of a mesh at unit size."""
         from geokit.mesh._hausdorff import hausdorff
 
-        corners = np.concatenate([self.local.bounds, surface.mesh.bounds])
+        corners = np.concatenate([self.local.bounds, getattr(found, "mesh", found).bounds])
         diagonal = float(np.linalg.norm(corners.max(axis=0) - corners.min(axis=0)))
-        return hausdorff(self.surface, surface, tolerance=width / diagonal, samples=0).upper
+        return hausdorff(self.surface, found, tolerance=width / diagonal, samples=0, device=self.device).upper
 
-    def measured(self, surface: Surface, bound: float) -> Simplified:
-        """The mesh in world coordinates with its deviation."""
-        found = surface.mesh
-        p999 = max(_percentile(self.local, surface), _percentile(found, self.surface))
-        vertices = self._restored(found.vertices)
-        mesh = TriangleMesh(vertices, found.faces, **self.said)
-        deviation = bound * self.scale + self.rounding
-        return Simplified(mesh, deviation, min(p999 * self.scale + self.rounding, deviation))
+    def result(self, found: TriangleMesh, width: float, most: float) -> Simplified:
+        """The mesh in world coordinates; its deviation is measured within a width, and at most this [world]."""
+        from geokit.mesh.surfaces.surface import Surface
+
+        def measure() -> tuple[float, float]:
+            surface = Surface(found, device=self.device)
+            deviation = min(self.bound(surface, width) * self.scale + self.rounding, most)
+            p999 = max(_percentile(self.local, surface), _percentile(found, self.surface))
+            return deviation, min(p999 * self.scale + self.rounding, deviation)
+
+        return _Unmeasured(TriangleMesh(self._restored(found.vertices), found.faces, **self.said), measure)
 
     def _restored(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Positions in the world; a point where a vertex was has the bits of that vertex."""
@@ -296,8 +320,9 @@ def _one_vertex_a_position(mesh: TriangleMesh) -> tuple[NDArray[np.float64], NDA
     corners, count = position_corners(mesh)
     first = np.empty(count, np.int64)
     first[corners.ravel()] = mesh.faces.ravel()
-    used, at = np.unique(corners[~collapsed_faces(corners)], return_inverse=True)
-    return mesh.vertices[first[used]], at.reshape(-1, 3).astype(np.int32)
+    corners, used = corners[~collapsed_faces(corners)], np.zeros(count, bool)
+    used[corners] = True
+    return mesh.vertices[first[used]], (np.cumsum(used, dtype=np.int32) - 1)[corners]
 
 
 def _percentile(mesh: TriangleMesh, other: Any) -> float:

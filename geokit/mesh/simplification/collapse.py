@@ -13,7 +13,7 @@ from geokit.core import launcher
 from geokit.core.memory.host_array import HostArray
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 
-__all__ = ["collapsed"]
+__all__ = ["Past", "collapsed"]
 
 # Rounds end when one takes less than this share of the faces.
 ROUND_GAIN = 0.03
@@ -21,6 +21,25 @@ ROUND_GAIN = 0.03
 STEPS = 1 << 11
 # Faces of a part.
 PART = 1 << 14
+# Trials begin after rounds that took this share of the faces if so many more followed: errors are about a quarter of
+# the limit then. That is so unless a limit is below a share of the largest one.
+HALVED, LATE, EARLY = 0.45, 2, 0.3
+# What collapses change.
+CHANGED = ("position", "face", "first_corner", "next_corner", "first_sample", "next_sample")
+# Parts of a mesh that is to have a number of faces are one again before the last ones go, as a share of that number.
+LAST = 0.15
+
+
+class Past:
+    """What a trial did: the next one repeats it where the limit is the same or still kept."""
+
+    def __init__(self, mesh: TriangleMesh) -> None:
+        self.limit = np.zeros(len(mesh.faces))
+        # The vertex that each became, and where. Of each round those that went, where each part begins, and its length.
+        self.into, self.new_place = np.arange(len(mesh.vertices), dtype=np.int32), np.empty(mesh.vertices.shape)
+        self.rounds: list[tuple[NDArray[np.int32], ...]] = []
+        # The mesh after each of the rounds that halve it, and how many rounds these were.
+        self.early: list[tuple[dict[str, NDArray[Any]], int]] = []
 
 
 def collapsed(
@@ -29,6 +48,7 @@ def collapsed(
     face_count: int,
     *,
     fixed: NDArray[np.bool_] | None = None,
+    past: Past | None = None,
     tell: Callable[[int], None] | None = None,
 ) -> tuple[TriangleMesh, NDArray[np.int64]]:
     """Collapse edges until none keeps the limit or ``face_count`` faces are left.
@@ -41,6 +61,7 @@ def collapsed(
         limit: Distance, also one around each face (F,); inf for none.
         face_count: Wanted number of faces.
         fixed: Whether each vertex stays as it is (V,).
+        past: The last trial with this mesh, whose limits were nowhere less; it becomes this one.
         tell: Called with the number of faces that are left, many times.
     Returns:
         TriangleMesh without unused vertices, with the topology of the input, and the face of the input that each of its
@@ -62,80 +83,126 @@ def collapsed(
             kept[name] = np.ascontiguousarray(values)
             setattr(state, name, HostArray(kept[name]).warp)
 
-    corner = mesh.faces.reshape(-1)
-    first_corner, next_corner = _lists(corner, vertices)
-    hold(position=mesh.vertices.copy(), face=corner.copy(), first_corner=first_corner, next_corner=next_corner)
+    corner, limited = mesh.faces.reshape(-1), np.ndim(limit) > 0 or math.isfinite(limit)
+    limits = np.array(np.broadcast_to(limit, faces if limited else 0))
+    is_first, past = past is not None and not past.rounds, past or Past(mesh)
+    if past.early[LATE:] and limits.min() > EARLY * limits.max():
+        arrays, repeated = past.early[-1 - LATE]
+        hold(**(arrays | {name: arrays[name].copy() for name in CHANGED}))
+    else:
+        past.early, repeated = [], 0
+        first_corner, next_corner = _lists(corner, vertices)
+        hold(position=mesh.vertices.copy(), face=corner.copy(), first_corner=first_corner, next_corner=next_corner)
+        sample, sample_face = np.empty((0, 3)), corner[:0]
+        if limited:
+            # Vertices and middles of faces, each with one of its faces.
+            used = np.flatnonzero(first_corner >= 0)
+            sample = np.concatenate([mesh.vertices[used], mesh.vertices[mesh.faces].mean(axis=1)])
+            sample_face = np.concatenate([first_corner[used] // 3, np.arange(faces, dtype=np.int32)])
+        first_sample, next_sample = _lists(sample_face, faces)
+        hold(sample=sample, sample_face=sample_face, first_sample=first_sample, next_sample=next_sample)
     hold(quadric=np.empty(10 * vertices), locked=np.zeros(vertices, np.int32))
     stays = np.zeros(vertices, np.bool_) if fixed is None else fixed
     hold(fixed=stays.copy())
     hold(error=np.empty(vertices), partner=np.empty(vertices, np.int32))
     hold(tried=np.empty(vertices), tried_partner=np.full(vertices, -1, np.int32))
-    sample, sample_face = np.empty((0, 3)), corner[:0]
-    limited = np.ndim(limit) > 0 or math.isfinite(limit)
-    hold(limit=np.broadcast_to(np.square(limit), faces if limited else 0))
-    if limited:
-        # Vertices and middles of faces, each with one of its faces.
-        used = np.flatnonzero(first_corner >= 0)
-        sample = np.concatenate([mesh.vertices[used], mesh.vertices[mesh.faces].mean(axis=1)])
-        sample_face = np.concatenate([first_corner[used] // 3, np.arange(faces, dtype=np.int32)])
-    first_sample, next_sample = _lists(sample_face, faces)
-    hold(sample=sample, sample_face=sample_face, first_sample=first_sample, next_sample=next_sample)
     hold(input_position=mesh.vertices, input_face=corner)
     hold(heap=np.empty(vertices, np.int32), heap_place=np.empty(vertices, np.int32))
-    left, before, turn = faces, math.inf, 0
+    changed, became = np.zeros(vertices, np.int32), past.into
+    hold(into=past.into, new_place=past.new_place, changed=changed, limit=np.square(limits))
+    if past.rounds:
+        # Of two vertices the one of higher number goes.
+        while (became[became] != became).any():
+            became = became[became]
+        changed[np.isin(became, became[mesh.faces[limits < past.limit]])] = kernels.WATCHED
+    past.limit = limits
+
+    def counts(log: NDArray[np.int32], begin: NDArray[np.int32]) -> NDArray[np.int32]:
+        hold(log=log, heap_begin=begin, count=np.zeros(kernels.COUNTS * len(begin), np.int32))
+        return kept["count"].reshape(-1, kernels.COUNTS).T
+
+    for number, (log, begin, again) in enumerate(past.rounds[repeated:], repeated):
+        count = counts(log, begin)
+        count[3] = count[5] = again
+        while count[3].any():
+            launcher.launch(kernels.collapse_kernel, len(begin), [STEPS, 0.0], [state], device, grain=1)
+        past.rounds[number] = log, begin, count[4]
+    if past.rounds:
+        # All others were tried in vain, and nothing around them is different.
+        corners = kept["face"].reshape(-1, 3)
+        awake = np.zeros(vertices, np.bool_)
+        awake[corners[(corners[:, 0] >= 0) & (changed[corners] == kernels.SKIPPED).any(axis=1)]] = True
+        stays = stays | ~awake
+    left, gained, turn, size = int((kept["face"][::3] >= 0).sum()), 1.0, 0, PART
     # Each round has quadrics of the faces that are left: the edges that the last one stopped at may cost less now, and
     # those between two parts lie within one.
-    while left > face_count and left < (1.0 - ROUND_GAIN) * before:
-        before = left
-        part, sizes = _parts(kept["position"], kept["face"], PART if limited else faces, turn % 2 == 1)
+    while left > face_count:
+        if gained < ROUND_GAIN and (limited or size == faces):
+            break
+        size = PART if limited or (gained > ROUND_GAIN and left > (1.0 + LAST) * face_count) else faces
+        part, sizes = _parts(kept["position"], kept["face"], stays, size, turn % 2 == 1)
+        before, tried = left, max(int(sizes.sum()), 1)
         np.logical_or(stays, part < 0, out=kept["fixed"])
-        begin = np.cumsum([0, *np.bincount(part[part >= 0], minlength=len(sizes))])
+        begin = np.cumsum([0, *np.bincount(part[part >= 0], minlength=len(sizes))], dtype=np.int32)
         kept["quadric"][:] = 0.0
         kept["tried"][:] = -1.0
         launcher.launch(kernels.prepare_kernel, vertices, [], [state], device)
         launcher.launch(kernels.choose_kernel, vertices, [], [state], device)
         # Sorted is one way to be a heap.
-        order = np.lexsort([kept["error"], part])
-        order = order[(part[order] >= 0) & (kept["partner"][order] >= 0)]
+        order = np.flatnonzero((part >= 0) & (kept["partner"] >= 0))
+        order = order[np.lexsort([kept["error"][order], part[order]])]
         waiting = np.bincount(part[order], minlength=len(sizes))
         place = np.arange(len(order)) - np.repeat(np.cumsum(waiting) - waiting, waiting)
         kept["heap"][begin[part[order]] + place] = order
         kept["heap_place"][:] = -1
         kept["heap_place"][order] = place
-        hold(heap_begin=begin[:-1].astype(np.int32))
-        wanted = (
-            -(-sizes * face_count // left) if len(sizes) == 1 else np.maximum(sizes * face_count // left, sizes // 2)
-        )
-        hold(count=np.stack([waiting, sizes, wanted], axis=1).astype(np.int32).reshape(-1))
-        count = kept["count"].reshape(-1, 3).T
-        while ((count[0] > 0) & (count[1] > count[2])).any():
-            launcher.launch(kernels.collapse_kernel, len(sizes), [STEPS], [state], device, grain=1)
-            left = int(count[1].sum())
+        shared = not limited and len(sizes) > 1
+        wanted = np.maximum(sizes - (left - face_count) * sizes // tried, sizes // 2 * (len(sizes) > 1))
+        count = counts(np.empty(begin[-1], np.int32), begin[:-1])
+        count[:4] = waiting, sizes, wanted, waiting * (not shared)
+        worst = last = math.inf
+        while True:
+            if not count[3].any():
+                rows = np.flatnonzero(kept["heap_place"] >= 0)
+                some = min((left - face_count) // 2, len(rows) // 2)
+                if not shared or not some or left < (1.0 + LAST) * face_count or left > (1.0 - ROUND_GAIN) * last:
+                    break
+                # Each part loses those of its edges that would go next if the parts were one.
+                worst, last = float(np.partition(kept["error"][rows], some)[some]), left
+                share = np.bincount(part[rows[kept["error"][rows] <= worst]], minlength=len(sizes))
+                count[2] = np.maximum(count[1] - 2 * (share * some // share.sum()), sizes // 2)
+            launcher.launch(kernels.collapse_kernel, len(sizes), [STEPS, worst], [state], device, grain=1)
+            left = before - int((sizes - count[1]).sum())
             if tell:
                 tell(left)
+        past.rounds.append((kept["log"], begin[:-1], count[4]))
+        gained = (before - left) / tried
         turn += 1
+        if is_first and gained > HALVED and len(sizes) > 1:
+            past.early.append((kept | {name: kept[name].copy() for name in CHANGED}, turn))
     source = np.flatnonzero(kept["face"][::3] >= 0)
     used, at = np.unique(kept["face"].reshape(-1, 3)[source], return_inverse=True)
     return TriangleMesh(kept["position"][used], at.reshape(-1, 3).astype(np.int32)), source
 
 
 def _parts(
-    position: NDArray[np.float64], face: NDArray[np.int32], size: int, shifted: bool
+    position: NDArray[np.float64], face: NDArray[np.int32], stays: NDArray[np.bool_], size: int, shifted: bool
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """The part of each vertex, -1 for those of several parts and of none (V,), and the faces of each part.
 
-    Parts are neighbors along a Morton curve; shifted by half, most borders lie within parts.
+    Faces of which all corners stay are in none. Parts are neighbors along a Morton curve; shifted by half, most borders
+    lie within parts.
     """
     corners = face.reshape(-1, 3)
-    corners = corners[corners[:, 0] >= 0]
+    corners = corners[(corners[:, 0] >= 0) & ~stays[corners].all(axis=1)]
     part = np.full(len(position), -1)
     if len(corners) < 2 * size:
         part[corners] = 0
         return part, np.array([len(corners)])
-    middle = position[corners].mean(axis=1)
-    low = middle.min(axis=0)
+    place = position[corners[:, 0]]
+    low = place.min(axis=0)
     device = launcher.resolve_device("cpu")
-    order = launcher.morton_order(HostArray(middle).warp, low, float((middle.max(axis=0) - low).max()), device)
+    order = launcher.morton_order(HostArray(place).warp, low, float((place.max(axis=0) - low).max()), device)
     of_face = np.empty(len(corners), np.int64)
     of_face[order.numpy()[: len(corners)]] = (np.arange(len(corners)) + size // 2 * shifted) // size
     at_corner = of_face.repeat(3)

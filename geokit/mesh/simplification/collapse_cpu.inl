@@ -184,14 +184,15 @@ static constexpr auto prepare = [](int v, const Decimation& state) {
 // Collapses edges of a part, the least error first, as long as each keeps the topology, flips no face and stays within
 // the limit. `steps` edges are tried, until as few faces are left as are wanted. All that a collapse reads or writes lies
 // in its part, but for places of vertices that stay.
-static constexpr auto collapse = [](int part, int steps, const Decimation& state) {
+static constexpr auto collapse = [](int part, int steps, double worst, const Decimation& state) {
     int* const face = state.face.data;
     point* const position = state.position.data;
     int* const heap = state.heap.data + state.heap_begin.data[part];
     int* const place = state.heap_place.data;
-    int& heap_size = state.count.data[3 * part];
-    int& live = state.count.data[3 * part + 1];
-    const int wanted = state.count.data[3 * part + 2];
+    int* const count = state.count.data + COUNTS * part;
+    int &heap_size = count[0], &live = count[1], &logged = count[4], &next = count[6];
+    const int wanted = count[2], again = count[5];
+    int *const log = state.log.data + state.heap_begin.data[part], *const changed = state.changed.data;
     const bool limited = state.limit.shape[0] > 0;
 
     // The heap holds vertices, by the error of the edge that each has chosen.
@@ -303,6 +304,11 @@ static constexpr auto collapse = [](int part, int steps, const Decimation& state
         return shared == 2 ? !(around.boundary && there.boundary) && !(met[0] && met[1]) : open < 2;
     };
 
+    auto input_normal = [&](int f) {
+        const int* c = state.input_face.data + 3 * f;
+        const point* input = state.input_position.data;
+        return normal_of(input[c[0]], input[c[1]], input[c[2]]);
+    };
     // Lists the new faces; false if one would turn over or lose its area.
     auto keeps_facing = [&](const point& x) {
         fan.count = 0;
@@ -320,6 +326,8 @@ static constexpr auto collapse = [](int part, int steps, const Decimation& state
                 const double both = wp::dot(was, is);
                 const double area = wp::dot(is, is);
                 if (!(both > 0.0) || !(both * both > FLAT * wp::dot(was, was) * area)) return false;
+                // Without samples that say what the input is like there, a face is compared with what it was.
+                if (!limited && !(wp::dot(is, input_normal(f)) >= 0.0)) return false;
                 double longest = 0.0;
                 for (int i = 0; i < 3; ++i) {
                     const point edge = corners[(i + 1) % 3] - corners[i];
@@ -355,9 +363,7 @@ static constexpr auto collapse = [](int part, int steps, const Decimation& state
     auto faces_as_input = [&](const point* c) {
         const int s = sample_near((c[0] + c[1] + c[2]) / 3.0);
         if (s < 0) return false;
-        const int* f = state.input_face.data + 3 * state.sample_face.data[s];
-        const point* input = state.input_position.data;
-        return wp::dot(normal_of(c[0], c[1], c[2]), normal_of(input[f[0]], input[f[1]], input[f[2]])) >= 0.0;
+        return wp::dot(normal_of(c[0], c[1], c[2]), input_normal(state.sample_face.data[s])) >= 0.0;
     };
     // Samples of the input against the new faces; the new vertex and points of the new faces against the input.
     auto keeps_limit = [&](const point& x) {
@@ -423,13 +429,19 @@ static constexpr auto collapse = [](int part, int steps, const Decimation& state
         }
     };
 
-    auto collapse = [&]() {
-        if (!ring_of(state, kept, around) || !ring_of(state, gone, there)) return false;
-        point x;
-        if (!keeps_topology()) return false;
-        place_of(state, kept, gone, x);
-        if (!keeps_facing(x) || (limited && !keeps_limit(x))) return false;
+    // To the place of least error, or as logged: where nothing has changed around, that keeps the limit.
+    auto collapse = [&](bool is_logged) {
+        if (!ring_of(state, kept, around) || !ring_of(state, gone, there) || !keeps_topology()) return false;
+        bool is_new = !is_logged;
+        for (const Ring* ring : rings)
+            for (int k = 0; k < ring->neighbor_count; ++k) is_new |= changed[ring->neighbors[k]] != 0;
+        point x = state.new_place.data[gone];
+        if (!is_logged) place_of(state, kept, gone, x);
+        if (!keeps_facing(x) || (limited && is_new && !keeps_limit(x))) return false;
         if (limited) share_samples();
+        log[logged++] = gone;
+        state.into.data[gone] = kept;
+        state.new_place.data[gone] = x;
         position[kept] = x;
         for (int i = 0; i < 10; ++i) state.quadric.data[10 * kept + i] += state.quadric.data[10 * gone + i];
         for (int k = 0; k < there.face_count; ++k) {
@@ -456,10 +468,18 @@ static constexpr auto collapse = [](int part, int steps, const Decimation& state
         sort_in(v);
     };
 
-    for (int step = 0; step < steps && heap_size && live > wanted; ++step) {
+    auto goes_on = [&]() { return next < again || (heap_size && live > wanted && state.error.data[heap[0]] <= worst); };
+    for (int step = 0; step < steps && goes_on(); ++step) {
+        if (next < again) {
+            gone = log[next++];
+            kept = state.into.data[gone];
+            if (changed[kept] == SKIPPED || changed[gone] == SKIPPED || !collapse(true))
+                changed[kept] = changed[gone] = SKIPPED;
+            continue;
+        }
         kept = heap[0];
         gone = state.partner.data[kept];
-        if (!collapse()) {
+        if (!collapse(false)) {
             state.tried.data[kept] = state.error.data[kept];
             state.tried_partner.data[kept] = gone;
             choose(kept, state);
@@ -485,4 +505,5 @@ static constexpr auto collapse = [](int part, int steps, const Decimation& state
             }
         }
     }
+    count[3] = goes_on();
 };

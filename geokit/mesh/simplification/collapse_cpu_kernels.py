@@ -29,6 +29,8 @@ LATTICE = 3
 THIN = 1.0e-22
 # Squared share of the limit within which a sample keeps its face.
 WELL_WITHIN = 0.0625
+# How a vertex can have changed since the last trial; numbers in the counts of a part.
+WATCHED, SKIPPED, COUNTS = 1, 2, 7
 
 
 @wp.struct
@@ -66,7 +68,14 @@ class Decimation:
     input_face: wp.array(dtype=int)
     # Squared limit around each face of the input; empty for none.
     limit: wp.array(dtype=wp.float64)
-    # Of each part: vertices in the heap, faces left, and the fewest that are wanted.
+    # Vertices that went, of each part from where its heap begins; the vertex that each became, and where.
+    log: wp.array(dtype=int)
+    into: wp.array(dtype=int)
+    new_place: wp.array(dtype=wp.vec3d)
+    # WATCHED where the limit is less than when the log was written, SKIPPED where a collapse was not repeated.
+    changed: wp.array(dtype=int)
+    # Of each part: vertices in the heap, faces left, the fewest that are wanted, whether there is more to try; vertices
+    # in the log, those that were there before, and how many of these were tried again.
     count: wp.array(dtype=int)
 
 
@@ -81,6 +90,7 @@ _CONSTANTS = {
     "FLAT": FLAT,
     "THIN": THIN,
     "WELL_WITHIN": WELL_WITHIN,
+    **{"SKIPPED": SKIPPED, "COUNTS": COUNTS},
 }
 
 
@@ -96,5 +106,5 @@ def choose_kernel(first: int, out_state: Decimation): ...
 
 @wp.kernel
 @cpp.native_item("mesh/simplification/collapse_cpu.inl", "collapse", **_CONSTANTS)
-def collapse_kernel(first: int, steps: int, out_state: Decimation):
-    """Tries the next ``steps`` edges of each part."""
+def collapse_kernel(first: int, steps: int, worst: wp.float64, out_state: Decimation):
+    """Tries the next ``steps`` edges of each part: those of the log, then those of no larger error than the worst."""

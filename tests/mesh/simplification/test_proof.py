@@ -10,16 +10,7 @@ from geokit.mesh.simplification import proof as module
 from geokit.mesh.simplification.collapse import collapsed
 from geokit.mesh.simplification.proof import Proof
 from geokit.mesh.surfaces.surface import Surface
-
-
-def rough(count: int, seed: int) -> TriangleMesh:
-    """A square sheet of bumps about as wide as its triangles."""
-    x, y = np.meshgrid(np.linspace(0, 1, count), np.linspace(0, 1, count), indexing="ij")
-    rng = np.random.default_rng(seed)
-    z = sum(0.01 * np.sin(rng.uniform(20, 60) * x + rng.uniform(20, 60) * y + rng.uniform(0, 6)) for _ in range(4))
-    i = np.arange(count * count).reshape(count, count)
-    quads = np.stack([i[:-1, :-1], i[1:, :-1], i[1:, 1:], i[:-1, 1:]], axis=-1).reshape(-1, 4)
-    return TriangleMesh(np.stack([x, y, z], -1).reshape(-1, 3), np.concatenate([quads[:, :3], quads[:, [0, 2, 3]]]))
+from tests.mesh.simplification.test_simplify import rough
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 import subprocess
 import sys
 
@@ -20,6 +21,16 @@ from geokit.mesh.simplification.invariants import shape_of, turned_faces
 from geokit.mesh.simplification.proof import far_faces
 from geokit.mesh.surfaces.surface import Surface
 from tests.support.reference import closest_point
+
+
+def rough(count: int, seed: int) -> TriangleMesh:
+    """A square sheet of bumps about as wide as its triangles."""
+    x, y = np.meshgrid(np.linspace(0, 1, count), np.linspace(0, 1, count), indexing="ij")
+    rng = np.random.default_rng(seed)
+    z = sum(0.01 * np.sin(rng.uniform(20, 60) * x + rng.uniform(20, 60) * y + rng.uniform(0, 6)) for _ in range(4))
+    i = np.arange(count * count).reshape(count, count)
+    quads = np.stack([i[:-1, :-1], i[1:, :-1], i[1:, 1:], i[:-1, 1:]], axis=-1).reshape(-1, 4)
+    return TriangleMesh(np.stack([x, y, z], -1).reshape(-1, 3), np.concatenate([quads[:, :3], quads[:, [0, 2, 3]]]))
 
 
 def flat_box(count: int = 6) -> TriangleMesh:
@@ -201,6 +212,55 @@ class TestFaceCount:
         points = np.concatenate([mesh.vertices, gk.mesh.sample_surface(mesh, 500, seed=1).points])
         largest = closest_point(found.mesh.vertices, found.mesh.faces, points).distance.max()
         assert largest <= found.deviation < largest + 0.1 * mesh.diagonal
+
+    def test_parts_take_the_edges_that_one_would(self, monkeypatch):
+        # Flat on one side, rough on the other: parts that each lost the same share would waste faces on the flat one.
+        mesh = rough(90, 0)
+        z = mesh.vertices[:, 2] * (mesh.vertices[:, 0] > 0.5)
+        mesh = TriangleMesh(np.column_stack([mesh.vertices[:, :2], z]), mesh.faces)
+        whole = simplify(mesh, face_count=4000, device="cpu")
+        monkeypatch.setattr(collapse, "PART", 1000)
+        found = [simplify(mesh, face_count=4000, device="cpu")]
+        for threads in ("1", "2"):
+            monkeypatch.setenv("GEOKIT_THREADS", threads)
+            found.append(simplify(mesh, face_count=4000, device="cpu"))
+        assert (found[0].mesh.vertices[found[0].mesh.faces].mean(axis=1)[:, 0] < 0.4).mean() < 0.08
+        assert 3990 <= found[0].mesh.face_count <= 4000
+        assert found[0].deviation_p999 < 1.2 * whole.deviation_p999
+        assert not np.array_equal(found[0].mesh.vertices, whole.mesh.vertices)
+        for other in found[1:]:
+            np.testing.assert_array_equal(other.mesh.vertices, found[0].mesh.vertices)
+            np.testing.assert_array_equal(other.mesh.faces, found[0].mesh.faces)
+
+    def test_faces_do_not_turn_over_little_by_little(self):
+        # Two of its faces did, and the mesh was refused.
+        mesh = rough(90, 0)
+        steep = TriangleMesh(mesh.vertices * [1.0, 1.0, 4.0], mesh.faces)
+        found = simplify(steep, face_count=3168, device="cpu").mesh
+        assert (found.face_normals[:, 2] > 0.0).all()
+
+    def test_the_deviation_is_measured_when_it_is_read(self, monkeypatch):
+        mesh, asked, module = mesh_catalog.icosphere(3), [], sys.modules["geokit.mesh._hausdorff"]
+        hausdorff = module.hausdorff
+        monkeypatch.setattr(module, "hausdorff", lambda *a, **k: asked.append(1) or hausdorff(*a, **k))
+        found, other = (simplify(mesh, face_count=300, device="cpu") for _ in range(2))
+        assert (found.mesh.face_count, asked) == (300, [])
+        assert found.deviation > found.deviation_p999 > 0.0
+        assert type(found.deviation) is type(found.deviation_p999) is float
+        assert asked == [1]
+        # In all else it is the tuple of these three.
+        _, deviation, p999 = other
+        known = (found.mesh, deviation, p999)
+        assert tuple(found) == known == found
+        assert found == Simplified(*known)
+        assert Simplified(*known) == found
+        assert found[1:] == (deviation, p999)
+        assert found == other != other._replace(deviation=1.0)
+        assert found != other._replace(deviation=1.0)
+        assert hash(found) == hash(known)
+        assert repr(found) == repr(Simplified(*known))
+        assert found._replace(deviation=1.0) == (found.mesh, 1.0, p999)
+        assert pickle.loads(pickle.dumps(other))[1:] == (deviation, p999)
 
     def test_as_many_as_there_are_changes_nothing(self):
         mesh = mesh_catalog.box()
