@@ -83,7 +83,10 @@ class _Unmeasured(Simplified):
 
     @cached_property
     def known(self) -> Simplified:
-        return Simplified(self.mesh, *self.__dict__.pop("measure")())
+        known = Simplified(self.mesh, *self.__dict__["measure"]())
+        # Lets go of the original; another thread may ask at the same time.
+        self.__dict__["measure"] = lambda: known[1:]
+        return known
 
     deviation, deviation_p999 = map(property, map(_of_known, map(attrgetter, Simplified._fields[1:])))
     __iter__, __getitem__ = map(_of_known, (iter, getitem))
