@@ -4,6 +4,8 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.core.atomic_kernels import add_to
+
 wp.set_module_options({"enable_backward": False})
 
 # Local coordinates lie in [-1, 1] and are rounded to float32 by at most 2^-25 (half a unit in the last place) per axis;
@@ -72,23 +74,18 @@ def area_kernel(first: int, corners: wp.array(dtype=wp.vec3d), out_area: wp.arra
 
 
 @wp.kernel
-def mark_wide_kernel(first: int, area: wp.array(dtype=wp.float64), least: wp.float64, out_is_wide: wp.array(dtype=int)):
-    """1 for slots whose triangle has at least so much area, else 0."""
-    slot = first + wp.tid()
-    out_is_wide[slot] = wp.where(area[slot] >= least, 1, 0)
-
-
-@wp.kernel
 def list_wide_kernel(
     first: int,
     area: wp.array(dtype=wp.float64),
-    is_wide: wp.array(dtype=int),
-    place: wp.array(dtype=int),
+    least: wp.float64,
+    out_count: wp.array(dtype=int),
     out_slot: wp.array(dtype=int),
     out_area: wp.array(dtype=wp.float64),
 ):
-    """The marked slots and their areas, at their places (counted from one)."""
+    """Slots whose triangle has at least so much area, and their areas, in any order, as far as there is room."""
     slot = first + wp.tid()
-    if is_wide[slot] != 0:
-        out_slot[place[slot] - 1] = slot
-        out_area[place[slot] - 1] = area[slot]
+    if area[slot] >= least:
+        place = add_to(out_count, 0, 1)
+        if place < out_slot.shape[0]:
+            out_slot[place] = slot
+            out_area[place] = area[slot]

@@ -17,7 +17,7 @@ from geokit.core.launches.late_checks import later
 from geokit.core.memory.pinned import host_flags
 from geokit.core.memory.unchecked import allocating
 from geokit.core.query.ask import query
-from geokit.core.scan import prefix_sum, row_offsets
+from geokit.core.scan import row_offsets
 from geokit.errors import InputError
 from geokit.mesh.topology.size_limits import require_measurable
 
@@ -399,14 +399,12 @@ def wide_slots(corners: "wp.array") -> "wp.array":
     launcher.launch(kernels.area_kernel, slots, [corners], [area], device)
     with allocating(device, slots):
         whole = float(wp.utils.array_sum(area))
-    is_wide = wp.empty(slots, dtype=wp.int32, device=device)
-    launcher.launch(kernels.mark_wide_kernel, slots, [area, wp.float64(LEAST_SHARE * whole)], [is_wide], device)
-    place, count = prefix_sum(is_wide)
-    if not (whole > 0.0 and count > 0):
-        return wp.empty(0, dtype=wp.int32, device=device)
-    found = [wp.empty(count, dtype=kind, device=device) for kind in (wp.int32, wp.float64)]
-    launcher.launch(kernels.list_wide_kernel, slots, [area, is_wide, place], found, device)
-    some, areas = (array.numpy() for array in found)
-    widest = np.argsort(-areas, kind="stable")[:MOST_WIDE]
+    # No more than these have so much of the area, up to rounding.
+    found = [wp.empty(int(1.0 / LEAST_SHARE) + 1, dtype=kind, device=device) for kind in (wp.int32, wp.float64)]
+    count = wp.zeros(1, dtype=wp.int32, device=device)
+    outputs = [count, *found]
+    launcher.launch(kernels.list_wide_kernel, slots, [area, wp.float64(LEAST_SHARE * whole)], outputs, device)
+    some, areas = (array.numpy()[: int(count.numpy()[0]) if whole > 0.0 else 0] for array in found)
+    widest = np.lexsort((some, -areas))[:MOST_WIDE]
     chosen = some[widest] if areas[widest].sum() >= WIDE_SHARE * whole else some[:0]
     return wp.array(chosen, dtype=wp.int32, device=device)
