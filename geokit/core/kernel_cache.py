@@ -237,7 +237,7 @@ def _replace_folder(warp: Any, error: Exception) -> None:
 
 def _private_folder(former: Any) -> Path | None:
     """A folder for temporary files that only this user can write to; later processes find it again."""
-    name = f"geokit-kernels-{os.getuid()}"
+    name = f"geokit-kernels-{os.getuid()}" if hasattr(os, "getuid") else "geokit-kernels"
     parents = list(TEMPORARY)
     with contextlib.suppress(FileNotFoundError):  # not one that Python knows can be written to
         parents.insert(0, tempfile.gettempdir())

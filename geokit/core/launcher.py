@@ -217,7 +217,7 @@ def thread_count() -> int:
         if not wanted.isdecimal() or int(wanted) < 1:
             raise InputError(f"GEOKIT_THREADS: {wanted!r} is not a positive whole number; set it to 1 or more")
         return int(wanted)
-    return len(os.sched_getaffinity(0))
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @functools.lru_cache(maxsize=4)
@@ -225,9 +225,12 @@ def _pool(threads: int) -> Pool:
     return Pool(threads, "geokit")
 
 
-# The lock's own methods: an interrupt between two of Python would leave it taken.
-os.register_at_fork(before=_load_lock.acquire, after_in_parent=_load_lock.release, after_in_child=_load_lock.release)
-os.register_at_fork(after_in_child=_after_fork)
+if hasattr(os, "register_at_fork"):
+    # The lock's own methods: an interrupt between two of Python would leave it taken.
+    os.register_at_fork(
+        before=_load_lock.acquire, after_in_parent=_load_lock.release, after_in_child=_load_lock.release
+    )
+    os.register_at_fork(after_in_child=_after_fork)
 
 
 def pool() -> Pool:

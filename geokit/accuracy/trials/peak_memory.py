@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import gc
-import resource
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -79,6 +78,10 @@ def resident_status(name: str) -> int:
 
 
 def _greatest_resident() -> int:
+    try:
+        import resource
+    except ImportError:  # not a POSIX system
+        return 0
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10
 
 

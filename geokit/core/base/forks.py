@@ -54,4 +54,5 @@ def _renew_all() -> None:
         owner._after_fork()
 
 
-os.register_at_fork(after_in_child=_renew_all)
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_renew_all)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import ctypes
 import os
-import resource
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
@@ -15,6 +14,11 @@ from typing import TYPE_CHECKING
 
 from geokit.core.launches.cuda_driver import cuda_driver
 from geokit.errors import DeviceMemoryError
+
+try:
+    import resource
+except ImportError:  # not on Windows
+    resource = None  # type: ignore[assignment]
 
 if TYPE_CHECKING:
     import warp as wp
@@ -91,12 +95,15 @@ def _free() -> int:
                 if line.startswith("MemAvailable:"):
                     return int(line.split()[1]) << 10
     except OSError:
-        return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+        if hasattr(os, "sysconf") and "SC_AVPHYS_PAGES" in os.sysconf_names:
+            return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     return ASSUMED_BYTES
 
 
 def _address_space_rest() -> int:
     """Bytes that can still be mapped; every mapping counts, whether it is used or not."""
+    if resource is None:
+        return UNLIMITED
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
     if limit == resource.RLIM_INFINITY:
         return UNLIMITED
