@@ -6,7 +6,7 @@ import importlib.metadata
 import platform
 
 from geokit import native
-from geokit._packages import PACKAGES
+from geokit._packages import DISTRIBUTION, PACKAGES
 
 __all__ = ["show_config"]
 
@@ -45,7 +45,7 @@ def _version(name: str) -> str:
 
 def _tag() -> str:
     try:
-        text = importlib.metadata.distribution("geokit").read_text("WHEEL") or ""
+        text = importlib.metadata.distribution(DISTRIBUTION).read_text("WHEEL") or ""
     except importlib.metadata.PackageNotFoundError:
         return ""
     tags = [line.partition(":")[2].strip() for line in text.splitlines() if line.startswith("Tag:")]

@@ -11,7 +11,10 @@ from typing import Any, NamedTuple
 from geokit.core.base.interrupts import signals_held
 from geokit.errors import MissingDependencyError
 
-__all__ = ["PACKAGES", "Package", "remedy", "require_package"]
+__all__ = ["DISTRIBUTION", "PACKAGES", "Package", "remedy", "require_package"]
+
+# What pip knows geokit by: the project "geokit" on PyPI is another one.
+DISTRIBUTION = "geokit-nanovdb"
 
 
 class Package(NamedTuple):
@@ -62,7 +65,7 @@ PACKAGES: dict[str, Package] = {
 def remedy(module: str) -> str:
     """The command that installs a package of the table."""
     package = PACKAGES[module]
-    return f"pip install 'geokit[{package.extra}]'" if package.extra else f"pip install {package.name}"
+    return f"pip install '{DISTRIBUTION}[{package.extra}]'" if package.extra else f"pip install {package.name}"
 
 
 def require_package(module: str) -> Any:

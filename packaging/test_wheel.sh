@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # Try a wheel where it will live: in bare Debian systems that have python3-venv and nothing else. As root:
 #
-#   packaging/test_wheel.sh FOLDER dist/geokit-*-cp311-*.whl bookworm
-#   packaging/test_wheel.sh FOLDER dist/geokit-*-cp312-abi3-*.whl trixie
+#   packaging/test_wheel.sh FOLDER dist/geokit_nanovdb-*-cp311-*.whl bookworm
+#   packaging/test_wheel.sh FOLDER dist/geokit_nanovdb-*-cp312-abi3-*.whl trixie
 #
 # FOLDER keeps the system between calls (300 MB, 2 GB with what pip installs). Needs debootstrap and a network.
 # BESIDE="torch open3d" also loads those wheels beside geokit. Prints a transcript; the exit status is 0 if all works.

@@ -29,9 +29,9 @@ OWN, STABLE, NEWEST = (10, 11), 12, 13
 LARGEST_BYTES = 20e6
 # Processors that a wheel has kernels for. Code for 8.0 runs on 8.6 and 8.9 too, and so on.
 CPU_LEVELS, CUDA_ARCHS = ("x86-64-v3", "x86-64-v4"), ("80", "90", "100", "120")
-NOTICE = """The libraries in geokit.libs are unchanged copies from Debian's packages, except that their names and search
-paths were edited. Each text in this folder is the copyright file of one package. OpenVDB is licensed under the Mozilla
-Public License 2.0; its source is Debian's source package openvdb, version {openvdb}.
+NOTICE = """The libraries in geokit_nanovdb.libs are unchanged copies from Debian's packages, except that their names
+and search paths were edited. Each text in this folder is the copyright file of one package. OpenVDB is licensed under
+the Mozilla Public License 2.0; its source is Debian's source package openvdb, version {openvdb}.
 """
 # What a user does first, without what draws and reads other formats, with an empty kernel cache.
 SMOKE = """
@@ -166,10 +166,10 @@ def with_tools() -> dict[str, str]:
 def add_licenses(tree: Path) -> None:
     """Put the copyright file of each package that libraries come from beside geokit's license."""
     (info,) = tree.glob("*.dist-info")
-    folder = info / "licenses" / "geokit.libs"
+    folder = info / "licenses" / "geokit_nanovdb.libs"
     folder.mkdir(parents=True)
     packages = set()
-    for library in (tree / "geokit.libs").iterdir():
+    for library in (tree / "geokit_nanovdb.libs").iterdir():
         # auditwheel puts a hash into the name, before the first dot; dpkg knows some files by /lib, which is /usr/lib.
         name = re.sub(r"-[0-9a-f]{8}(?=\.)", "", library.name)
         owners = run("dpkg-query", "--search", f"*/{name}")

@@ -41,14 +41,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
             signal.signal(signal.SIGINT, interrupt)  # libraries may catch what it raises, and go on
-            signal.signal(signal.SIGALRM, interrupt)
-            sys.unraisablehook = raise_again
+            if hasattr(signal, "setitimer"):
+                signal.signal(signal.SIGALRM, interrupt)
+                sys.unraisablehook = raise_again
     with contextlib.suppress(KeyboardInterrupt):
         from geokit.cli._program.run import run
 
         code = run(list(sys.argv[1:] if arguments is None else arguments))
     if came or code == INTERRUPTED:
-        if arguments is None:
+        if arguments is None and hasattr(signal, "setitimer"):
             signal.setitimer(signal.ITIMER_REAL, 0.0)  # it need not come again
         code = INTERRUPTED
         print("geokit: interrupted", file=sys.stderr, flush=True)

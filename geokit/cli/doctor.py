@@ -153,9 +153,7 @@ def _bridge() -> dict[str, Any]:
         native.require()
     except MissingDependencyError as error:
         return {"bridge": f"not available: {error}"}
-    facts: dict[str, Any] = {"bridge": "available"}
-    facts.update(plain(native.versions()))
-    return facts
+    return {"bridge": "available", **native.versions()}
 
 
 def _opengl() -> dict[str, str]:

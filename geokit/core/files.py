@@ -17,8 +17,8 @@ from geokit.core.require import require_path
 from geokit.errors import FileAccessError, FileFormatError, GeokitError, InputError
 
 __all__ = [
-    "atomic_path", "damaged", "extension", "in_one_line", "is_there", "named_damage", "refuse_empty", "refuse_pointer",
-    "require_extension", "require_file", "require_room", "size_of",
+    "atomic_path", "damaged", "extension", "folder_beside", "in_one_line", "is_there", "named_damage", "refuse_empty",
+    "refuse_pointer", "require_extension", "require_file", "require_room", "size_of", "sync",
 ]  # fmt: skip
 
 # Extensions with two dots.
@@ -157,24 +157,33 @@ def atomic_path(target: str | os.PathLike[str]) -> Iterator[Path]:
             or writing failed.
     """
     target = require_path(target)
-    part = None
+    with folder_beside(_followed(target)[0], target) as folder:
+        suffix = target.name[-size:] if 0 < (size := len(extension(target))) <= LONGEST_SUFFIX else ""
+        part = folder / f"part{suffix}"
+        # Created here, so that umask and the folder's rules give a new file its mode.
+        with io.FileIO(part, "xb") as file:
+            mode = os.fstat(file.fileno()).st_mode
+        yield part
+        _publish(part, mode, target)
+
+
+@contextlib.contextmanager
+def folder_beside(real: Path, target: Path) -> Iterator[Path]:
+    """A private folder beside a file; errors name the target that leads to it.
+
+    Raises:
+        FileAccessError: The file's folder is missing or not writable, or writing failed.
+    """
+    if not real.parent.is_dir():
+        raise FileAccessError(f"{target}: the folder {real.parent} does not exist; create it first")
+    folder = None
     try:
-        real, _ = _followed(target)
-        if not real.parent.is_dir():
-            raise FileAccessError(f"{target}: the folder {real.parent} does not exist; create it first")
         with private_folder(real.parent) as folder:
-            suffix = target.name[-size:] if 0 < (size := len(extension(target))) <= LONGEST_SUFFIX else ""
-            name = folder / f"part{suffix}"
-            # Created here, so that umask and the folder's rules give a new file its mode.
-            with io.FileIO(name, "xb") as file:
-                mode = os.fstat(file.fileno()).st_mode
-            part = name
-            yield part
-            _publish(part, mode, target)
+            yield folder
     except OSError as error:
         if isinstance(error, FileAccessError):
             raise
-        if part is None:
+        if folder is None:
             raise FileAccessError(f"{target}: cannot write there ({error.strerror}); choose another folder") from error
         raise FileAccessError(f"{target}: writing failed ({error.strerror or error}); check the disk") from error
 
@@ -218,19 +227,24 @@ def _publish(part: Path, mode: int, target: Path) -> None:
     if found is not None:
         mode = found.st_mode
         # Only root may give files away; others may choose among their groups.
-        with contextlib.suppress(OSError):
-            os.chown(part, -1, found.st_gid)
-        with contextlib.suppress(OSError):
-            os.chown(part, found.st_uid, -1)
+        for owner in ((-1, found.st_gid), (found.st_uid, -1)):
+            with contextlib.suppress(OSError, AttributeError):  # or nobody may, on systems that are not POSIX
+                os.chown(part, *owner)
     os.chmod(part, mode & 0o777)
     os.replace(part, real)
-    # The rename is durable only once the folder is synced. Some systems cannot open a folder.
+    # The rename is durable only once the folder is synced.
     with contextlib.suppress(OSError):
-        folder = os.open(real.parent, os.O_RDONLY)
+        sync(real.parent)
+
+
+def sync(path: Path) -> None:
+    """Have the system put a file or a folder on its disk; Windows cannot open a folder."""
+    with contextlib.suppress(PermissionError):
+        descriptor = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
         try:
-            os.fsync(folder)
+            os.fsync(descriptor)
         finally:
-            os.close(folder)
+            os.close(descriptor)
 
 
 def _copy_over(part: Path, real: Path) -> None:
@@ -249,7 +263,7 @@ def _copy_over(part: Path, real: Path) -> None:
 def _copy(part: Path, real: Path) -> None:
     with open(part, "rb") as source, open(real, "rb+") as file:
         before, after = os.fstat(file.fileno()).st_size, os.fstat(source.fileno()).st_size
-        if after > before:
+        if after > before and hasattr(os, "posix_fallocate"):
             try:
                 os.posix_fallocate(file.fileno(), before, after - before)
             except OSError:

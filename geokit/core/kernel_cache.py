@@ -11,7 +11,6 @@ import contextlib
 import errno
 import logging
 import os
-import resource
 import shutil
 import tempfile
 import threading
@@ -21,6 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from geokit.core.base.private_folder import OTHERS, distrust, make_own, remove_folder, require_trusted, temporary_parent
+from geokit.core.base.system import limits
 from geokit.core.compiled import cpu_level, shipped
 from geokit.core.compiled.shipped import Shipped, digest_of
 from geokit.core.launches import warp_private
@@ -105,8 +105,7 @@ def load(module: Any, device: "wp.Device", block_dim: int, announce: Callable[[s
 
 
 def _require_stack(module: Any) -> None:
-    soft, _ = resource.getrlimit(resource.RLIMIT_STACK)
-    if soft != resource.RLIM_INFINITY and soft < LEAST_STACK:
+    if (soft := limits("STACK")[0]) < LEAST_STACK:
         raise DeviceMemoryError(
             f"kernels of {module.name}: need {LEAST_STACK >> 10} kB of stack, and the limit is {soft >> 10} kB "
             "(ulimit -s); raise it, as in ulimit -s 8192",

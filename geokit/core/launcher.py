@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from geokit.core import kernel_cache
+from geokit.core.base.forks import register_at_fork
 from geokit.core.launches import prepared, warp_private
 from geokit.core.memory import needs
 from geokit.core.memory.unchecked import sort_pairs
@@ -225,12 +226,9 @@ def _pool(threads: int) -> Pool:
     return Pool(threads, "geokit")
 
 
-if hasattr(os, "register_at_fork"):
-    # The lock's own methods: an interrupt between two of Python would leave it taken.
-    os.register_at_fork(
-        before=_load_lock.acquire, after_in_parent=_load_lock.release, after_in_child=_load_lock.release
-    )
-    os.register_at_fork(after_in_child=_after_fork)
+# The lock's own methods: an interrupt between two of Python would leave it taken.
+register_at_fork(before=_load_lock.acquire, after_in_parent=_load_lock.release, after_in_child=_load_lock.release)
+register_at_fork(after_in_child=_after_fork)
 
 
 def pool() -> Pool:

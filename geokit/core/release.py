@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import sys
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 from geokit.core import download
 from geokit.core.memory import host_pool, pinned
 
-__all__ = ["release_memory"]
+__all__ = ["release_memory", "trim_heap"]
 
 
 def release_memory() -> int:
@@ -28,7 +29,7 @@ def release_memory() -> int:
         True
     """
     freed = host_pool.release() + download.release() + pinned.release()
-    _trim_heap()
+    trim_heap()
     wp: Any = sys.modules.get("warp")
     if wp is None or not wp.is_cuda_available():
         return freed
@@ -44,10 +45,7 @@ def release_memory() -> int:
     return freed
 
 
-def _trim_heap() -> None:
-    # Where the heap has a large free piece it serves even an array of 64 MiB, whose pages stay when it is freed.
-    try:
-        trim = ctypes.CDLL(None).malloc_trim
-    except (AttributeError, OSError, TypeError):  # not glibc; Windows has no library of all symbols
-        return
-    trim(0)
+def trim_heap() -> None:
+    """Give back free pages of the heap: with a large free piece it serves even an array of 64 MiB, whose pages stay."""
+    with contextlib.suppress(AttributeError, OSError, TypeError):  # not glibc; Windows has no library of all symbols
+        ctypes.CDLL(None).malloc_trim(0)

@@ -117,7 +117,8 @@ def read_mesh(path: Path, folders: Sequence[Path] = ()) -> list[Body]:
         columns = source.read(element)
         if element.name == "vertex":
             if not {"x", "y", "z"} <= columns.keys():
-                element.properties = [_lowered(item) for item in element.properties]
+                for item in element.properties:
+                    item.name = item.name.lower() if item.name in ("X", "Y", "Z") else item.name
                 columns = {item.name: columns[name] for item, name in zip(element.properties, columns, strict=True)}
             if not {"x", "y", "z"} <= columns.keys():
                 raise FileFormatError(f"{path}: the vertices have no x, y and z; the file is not a mesh")
@@ -169,10 +170,6 @@ def read_mesh(path: Path, folders: Sequence[Path] = ()) -> list[Body]:
             notes=tuple(notes),
         )
     ]
-
-
-def _lowered(item: _Property) -> _Property:
-    return _Property(item.name.lower(), item.type, item.count_type) if item.name in ("X", "Y", "Z") else item
 
 
 def _triangles_of_strips(counts: NDArray[np.int64], indices: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -43,7 +43,9 @@ def read_mesh(path: Path) -> list[Body]:
     if count is not None:
         records = np.frombuffer(data, RECORD, count, HEADER_BYTES)
         notes = left_behind(len(data), count)
-        if _has_colors(records["attribute"], data[:80]):
+        # VisCAM marks colors by their highest bit, Magics by the header.
+        colors = records["attribute"]
+        if (colors >> 15).any() or (b"COLOR=" in data[:80] and colors.any()):
             notes += ("the colors of its faces are left out",)
         return [_weld(records["corners"].astype(np.float64).reshape(-1, 3), (), notes)]
     text = plain_text(data, path)
@@ -69,13 +71,6 @@ def binary_count(head: bytes, size: int) -> int | None:
     if declared < 0 or behind < 0:
         return None
     return declared if behind == 0 or (declared and behind % RECORD.itemsize) else None
-
-
-def _has_colors(attributes: NDArray[np.uint16], header: bytes) -> bool:
-    """Whether the two bytes behind triangles are colors, as VisCAM (with the highest bit) or Magics (by the header) has
-    them.
-    """
-    return bool((attributes >> 15).any() or (b"COLOR=" in header and attributes.any()))
 
 
 def left_behind(size: int, count: int) -> tuple[str, ...]:

@@ -501,21 +501,23 @@ def export(stage: Any, path: Path, inner: str, beside: Mapping[str, Path]) -> No
     from pxr import Sdf, Tf
 
     # usd-core takes only names in UTF-8, and a folder may have another; as a descriptor it has a plain name.
-    folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+    folder = os.open(path.parent, os.O_RDONLY) if os.path.isdir("/proc/self/fd") else None
+    place = path.parent if folder is None else f"/proc/self/fd/{folder}"
     try:
-        name = f"/proc/self/fd/{folder}/{path.name}"
+        name = f"{place}/{path.name}"
         packed = path.suffix.lower() == ".usdz"
         exported = stage.GetRootLayer().Export(f"{name}.usdc" if packed else name)
         if packed:
             archive = Sdf.ZipFileWriter.CreateNew(name)
             exported = bool(archive.AddFile(f"{name}.usdc", inner)) and all(
-                bool(archive.AddFile(f"/proc/self/fd/{folder}/{file.name}", label)) for label, file in beside.items()
+                bool(archive.AddFile(f"{place}/{file.name}", label)) for label, file in beside.items()
             )
             exported = archive.Save() and exported and _is_whole(path)
     except Tf.ErrorException as error:
         raise OSError(f"usd-core: {getattr(error.args[0], 'commentary', error)}") from None
     finally:
-        os.close(folder)
+        if folder is not None:
+            os.close(folder)
     if not exported:
         raise OSError("usd-core: not all was written")
 

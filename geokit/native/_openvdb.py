@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geokit._packages import DISTRIBUTION
 from geokit.core.base.private_folder import private_folder
 from geokit.core.content_limit import content_limit
 from geokit.core.files import atomic_path, refuse_empty, require_file
@@ -149,13 +150,13 @@ def build_facts() -> dict[str, str]:
     if module is None:
         return {"extension": reason}
     path = Path(str(module.__file__))
+    libraries = path.parents[2] / f"{DISTRIBUTION.replace('-', '_')}.libs"  # where auditwheel puts them
     return {
         "extension": "yes",
         **versions(),
         **dict(module.build_facts()),
         "python": "stable ABI" if ".abi3." in path.name else "this version only",
-        # auditwheel puts them beside the package.
-        "libraries": "inside the wheel" if (path.parents[2] / "geokit.libs").is_dir() else "of the system",
+        "libraries": "inside the wheel" if libraries.is_dir() else "of the system",
     }
 
 

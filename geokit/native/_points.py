@@ -25,6 +25,7 @@ from geokit.formats.reader import process as reader_process
 from geokit.native import _metadata
 from geokit.native._failures import raise_failure
 from geokit.native._openvdb import _call, _extension
+from geokit.native._served import prepare
 from geokit.native._worker import warn_of_version
 
 __all__ = ["prepare", "read", "read_grids", "write"]
@@ -79,8 +80,8 @@ def read(
     if trusted:
         facts, arrays = read_grids(path, names)
     else:
-        memory = RESERVED_BYTES + COPIES * limit
-        request = {"content": "grids", "path": str(path.resolve()), "names": names, "limit": limit, "memory": memory}
+        request = reader_process.request_of(path, "grids", limit, names)
+        request["memory"] = RESERVED_BYTES + COPIES * limit
         seconds = reader_process.reading_seconds(path)
         facts, arrays = reader_process.ask(path, __name__, request, seconds, "restore it from its source")
     if "error" in facts:
@@ -95,11 +96,6 @@ def read(
         name, values = _as_noted(label, values, noted)
         data[name if name not in data else label] = values
     return positions.reshape(-1, 3), data
-
-
-def prepare() -> None:
-    """Load the extension."""
-    importlib.import_module("geokit.native._bridge")
 
 
 def read_grids(path: Path, names: list[str]) -> tuple[Any, list[tuple[str, NDArray[Any]]]]:

@@ -35,13 +35,8 @@ def read(
         WorkerError: The process did not start, or was killed from outside.
         InputError, UnsupportedGridError: As :func:`geokit.native.read_vdb`.
     """
-    request = {
-        "content": "grids",
-        "path": str(path.resolve()),
-        "names": names,
-        "limit": memory_limit,
-        "memory": memory_limit + RESERVED_BYTES,
-    }
+    request = reader_process.request_of(path, "grids", memory_limit, names)
+    request["memory"] = memory_limit + RESERVED_BYTES
     facts, arrays = reader_process.ask(path, __name__, request, time_limit, "restore it from its source")
     if "error" in facts:
         raise_failure(facts["error"], str(path))

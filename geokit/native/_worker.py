@@ -6,9 +6,7 @@ import contextlib
 import json
 import mmap
 import os
-import resource
 import shutil
-import signal
 import subprocess
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,7 +18,10 @@ from numpy.typing import NDArray
 from geokit._warn import warn
 from geokit.core.base.interrupts import child_process
 from geokit.core.base.private_folder import temporary_parent
-from geokit.errors import FileAccessError, FileFormatError, WorkerError
+from geokit.core.base.system import limits
+from geokit.errors import FileAccessError, FileFormatError
+from geokit.formats.reader.process import FROM_OUTSIDE, killed
+from geokit.formats.reader.server import status_name
 from geokit.native._metadata import raw
 
 __all__ = ["map_file", "refuse_small_files", "run_worker", "spool_folders", "warn_of_version"]
@@ -71,8 +72,8 @@ def refuse_small_files(path: Path, memory_limit: int) -> None:
     Raises:
         FileAccessError: The system's limit on the size of files is below the worker's own.
     """
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    if hard != resource.RLIM_INFINITY and hard < memory_limit:
+    soft, hard = limits("FSIZE")
+    if hard < memory_limit:
         raise FileAccessError(
             f"{path}: its voxels go through a file, which may have no more than {soft} bytes here (ulimit -f); raise "
             "that limit, or pass trusted=True for a file you trust"
@@ -112,12 +113,10 @@ def _parse(path: Path, output: bytes, status: int) -> dict[str, Any]:
             result = json.loads(output.decode("utf-8", "surrogateescape"))
             if isinstance(result, dict) and ("grids" in result if status == 0 else "error" in result):
                 return result
-    if -status in (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
-        raise WorkerError(
-            f"{path}: the process that reads it was killed from outside ({signal.Signals(-status).name}), perhaps for "
-            "want of memory; read the file again"
-        )
-    what = f"signal {signal.Signals(-status).name}" if status < 0 else f"status {status}"
+    name = status_name(status)
+    if name in FROM_OUTSIDE:
+        raise killed(path, name)
+    what = f"signal {name}" if status < 0 else name
     raise FileFormatError(
         f"{path}: damaged: OpenVDB crashed on it, in a separate process ({what}); restore the file from its source"
     )

@@ -626,11 +626,11 @@ def test_missing_usd_core_is_named(tmp_path, monkeypatch):
     shadow.mkdir(parents=True)
     write(shadow / "__init__.py", "raise ImportError('no module named pxr')\n")
     monkeypatch.syspath_prepend(str(shadow.parent))
-    with pytest.raises(gk.MissingDependencyError, match=r"geokit\[usd\]"):
+    with pytest.raises(gk.MissingDependencyError, match=r"geokit-nanovdb\[usd\]"):
         gk.mesh.load(tmp_path / "a.usda")
     for name in [name for name in sys.modules if name.split(".")[0] == "pxr"]:
         monkeypatch.delitem(sys.modules, name)
-    with pytest.raises(gk.MissingDependencyError, match=r"geokit\[usd\]"):
+    with pytest.raises(gk.MissingDependencyError, match=r"geokit-nanovdb\[usd\]"):
         gk.mesh.save(tmp_path / "b.usda", MESH)
     assert not (tmp_path / "b.usda").exists()
 

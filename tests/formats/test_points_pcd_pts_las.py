@@ -492,9 +492,9 @@ def test_damaged_las_is_named(tmp_path):
 def test_without_laspy(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "laspy", None)
     write(tmp_path / "a.las", b"LASF")
-    with pytest.raises(gk.MissingDependencyError, match=r"pip install 'geokit\[las\]'"):
+    with pytest.raises(gk.MissingDependencyError, match=r"pip install 'geokit-nanovdb\[las\]'"):
         load(tmp_path / "a.las")
-    with pytest.raises(gk.MissingDependencyError, match=r"pip install 'geokit\[las\]'"):
+    with pytest.raises(gk.MissingDependencyError, match=r"pip install 'geokit-nanovdb\[las\]'"):
         save(tmp_path / "b.las", POINTS)
     assert not (tmp_path / "b.las").exists()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import json
 import re
 import subprocess
@@ -12,7 +13,7 @@ import pytest
 
 import geokit as gk
 from geokit import native
-from geokit._packages import PACKAGES, remedy, require_package
+from geokit._packages import DISTRIBUTION, PACKAGES, remedy, require_package
 from geokit.formats.table import FORMATS
 
 if sys.version_info >= (3, 11):
@@ -38,7 +39,7 @@ def test_every_package_is_installed_by_what_its_error_names(module: str) -> None
     if package.extra:
         # laspy[lazrs] brings lazrs.
         assert package.name in re.split(r"[\[\]<>=, ]", " ".join(EXTRAS[package.extra]))
-        assert f"'geokit[{package.extra}]'" in remedy(module)
+        assert remedy(module) == f"pip install '{PROJECT['name']}[{package.extra}]'"
     else:
         # pyvista brings vtk.
         assert package.name in BASE | {"vtk"}
@@ -53,8 +54,47 @@ def test_every_extra_is_in_the_table_of_the_install_page() -> None:
         for kind, found in FORMATS.items():
             assert (f"`{kind}`" in row) == (found.extra == extra) or extra in ("all", "xdmf"), (extra, kind)
     assert EXTRAS["all"] == [
-        f"geokit[{','.join(extra for extra in EXTRAS if extra not in {*INTERNAL, *LIBRARIES, *LARGE, 'all'})}]"
+        f"{DISTRIBUTION}[{','.join(extra for extra in EXTRAS if extra not in {*INTERNAL, *LIBRARIES, *LARGE, 'all'})}]"
     ]
+
+
+# Whoever follows one of these gets the other project, whose name on PyPI is "geokit".
+OTHERS = re.compile(
+    r"pip install (?:-\S+ )*['\"]?geokit(?![-_]nanovdb)|\bgeokit\[[a-z]|\bgeokit-(?!nanovdb)[^\s`']*\.(?:whl|dist-info)"
+)
+
+
+def test_one_name_to_install_by() -> None:
+    assert PROJECT["name"] == DISTRIBUTION
+    commands = importlib.metadata.entry_points(group="console_scripts", name="geokit")
+    assert [command.dist.name for command in commands] == [DISTRIBUTION]
+    assert gk.show_config()["build"]["wheel"]
+    # napari refuses a manifest of another name; auditwheel names a folder after it.
+    assert f"name: {DISTRIBUTION} " in (ROOT / "geokit/plugins/napari.yaml").read_text(encoding="utf-8")
+    assert f"\n  name: {DISTRIBUTION}\n" in (ROOT / "packaging/conda/recipe.yaml").read_text(encoding="utf-8")
+    assert f'"{DISTRIBUTION.replace("-", "_")}.libs"' in (ROOT / "packaging/wheel.py").read_text(encoding="utf-8")
+
+
+def test_no_text_says_another_name_or_an_extra_that_is_none() -> None:
+    for wrong in (
+        "pip install geokit",
+        "pip install -U 'geokit[usd]'",
+        "geokit[las]",
+        "geokit-*.whl",
+        "geokit-1-a.whl",
+    ):
+        assert OTHERS.search(wrong), wrong
+    folders = ("geokit", "docs", "packaging", "examples", "benchmarks", ".ci")
+    files = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "pyproject.toml", "dev")]
+    files += [path for folder in folders for path in (ROOT / folder).rglob("*")]
+    extras = []
+    for path in files:
+        if path.suffix in ("", ".md", ".ipynb", ".py", ".pyi", ".sh", ".toml", ".yaml", ".txt") and path.is_file():
+            text = path.read_bytes().decode(errors="replace")
+            assert not OTHERS.search(text), (path, OTHERS.search(text))
+            extras += re.findall(rf"{DISTRIBUTION}\[([a-z0-9,-]+)\]", text)
+    assert {"usd", "torch", "all,dask"} <= set(extras)
+    assert {extra for found in extras for extra in found.split(",")} <= set(EXTRAS)
 
 
 @pytest.mark.parametrize("module", PACKAGES)

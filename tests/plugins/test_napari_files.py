@@ -11,6 +11,7 @@ import pytest
 
 import geokit as gk
 from benchmarks.catalog import mesh_catalog
+from geokit._packages import DISTRIBUTION
 from geokit.formats.table import SPARSE, extensions
 from geokit.plugins import napari_files
 
@@ -85,7 +86,7 @@ def test_a_large_box_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 
 def test_npe2_reads_through_the_manifest(tmp_path: Path) -> None:
     npe2 = pytest.importorskip("npe2")
-    manifest = npe2.PluginManifest.from_file(MANIFEST)
+    manifest = npe2.PluginManifest.from_distribution(DISTRIBUTION)  # refused under another name
     manifest.validate_imports()
     gk.mesh.save(tmp_path / "ball.ply", BALL)
     gk.volume.save(tmp_path / "smoke.nvdb", gk.volume.from_dense(VALUES, name="density"))
@@ -94,5 +95,5 @@ def test_npe2_reads_through_the_manifest(tmp_path: Path) -> None:
     try:
         found = [npe2.read([str(tmp_path / name)], stack=False) for name in ("ball.ply", "smoke.nvdb")]
     finally:
-        plugins.unregister("geokit")
+        plugins.unregister(DISTRIBUTION)
     assert [(layers[0][1]["name"], layers[0][2]) for layers in found] == [("ball", "surface"), ("density", "image")]

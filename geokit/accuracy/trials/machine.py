@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import datetime
-import importlib.metadata
 import os
 import platform
 from collections.abc import Mapping
 
-from geokit.errors import MissingDependencyError
+from geokit._config import show_config
+from geokit.core.base.system import said
 
 __all__ = ["machine_facts", "machine_line", "processor_name", "version_facts"]
-
-PACKAGES = {"warp": "warp-lang", "numpy": "numpy"}
 
 
 def machine_facts() -> dict[str, str]:
@@ -46,33 +44,15 @@ def machine_line(facts: Mapping[str, str]) -> str:
 
 def version_facts() -> dict[str, str]:
     """Versions of geokit and of its dependencies."""
-    import geokit
-    from geokit import native
-
-    facts = {"geokit": geokit.__version__, "python": platform.python_version()}
-    for name, package in PACKAGES.items():
-        try:
-            facts[name] = importlib.metadata.version(package)
-        except importlib.metadata.PackageNotFoundError:
-            continue
-    try:
-        built = native.versions()
-        facts["OpenVDB"], facts["NanoVDB"] = built["openvdb"], built["nanovdb"]
-    except MissingDependencyError:
-        facts["OpenVDB"] = "not installed"
-    return facts
+    versions, build = show_config().values()
+    versions.update({"warp": versions["warp-lang"], "OpenVDB": build.get("openvdb", "not installed")})
+    facts = {name: versions[name] for name in ("geokit", "python", "warp", "numpy", "OpenVDB")}
+    return facts | ({"NanoVDB": build["nanovdb"]} if "nanovdb" in build else {})
 
 
 def processor_name() -> str:
     """Name of the processor as reported by the system."""
-    try:
-        with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as file:
-            for line in file:
-                if line.startswith("model name"):
-                    return " ".join(line.partition(":")[2].split())
-    except OSError:
-        pass
-    return platform.processor() or platform.machine() or "unknown"
+    return " ".join(said("/proc/cpuinfo", "model name")) or platform.processor() or platform.machine() or "unknown"
 
 
 def _memory_text() -> str:

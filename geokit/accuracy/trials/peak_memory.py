@@ -8,7 +8,9 @@ import gc
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+from geokit.core.base.system import said
 from geokit.core.launches.cuda_driver import cuda_driver
+from geokit.core.release import trim_heap
 
 if TYPE_CHECKING:
     import warp as wp
@@ -48,41 +50,26 @@ def peak_bytes(call: Callable[[], Any], device: "wp.Device") -> int:
 
 
 def _resident_peak(call: Callable[[], Any]) -> int:
-    with contextlib.suppress(OSError, AttributeError):
-        ctypes.CDLL(None).malloc_trim(0)
-    reset = reset_high_water()
-    before = resident_status("VmRSS") if reset else _greatest_resident()
+    trim_heap()
+    before = resident_status("VmRSS" if reset_high_water() else "VmHWM")
     answer = call()
-    after = resident_status("VmHWM") if reset else _greatest_resident()
+    after = resident_status("VmHWM")
     del answer
     return max(0, after - before)
 
 
 def reset_high_water() -> bool:
     """Start VmHWM of this process anew; False if the system does not allow that."""
-    try:
-        with open("/proc/self/clear_refs", "w", encoding="ascii") as file:
-            file.write(RESET_PEAK)
-    except OSError:
-        return False
-    return True
+    with contextlib.suppress(OSError), open("/proc/self/clear_refs", "w", encoding="ascii") as file:
+        file.write(RESET_PEAK)
+        return True
+    return False
 
 
 def resident_status(name: str) -> int:
     """A size reported by /proc/self/status, 0 if there is none."""
-    with contextlib.suppress(OSError), open("/proc/self/status", encoding="ascii", errors="replace") as file:
-        for line in file:
-            if line.startswith(name + ":"):
-                return int(line.split()[1]) << 10
-    return 0
-
-
-def _greatest_resident() -> int:
-    try:
-        import resource
-    except ImportError:  # not a POSIX system
-        return 0
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10
+    words = said("/proc/self/status", f"{name}:")
+    return int(words[0]) << 10 if words else 0
 
 
 def _pool_peak(call: Callable[[], Any], device: "wp.Device") -> int:

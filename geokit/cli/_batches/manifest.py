@@ -10,7 +10,6 @@ the folder of the batch is written or removed for it, and committed work that th
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import itertools
 import json
 import operator
@@ -73,13 +72,15 @@ class Manifest:
         except OSError as error:
             raise FileAccessError(f"{folder}: cannot write there ({error.strerror}); choose another --out") from error
         try:
+            import fcntl
+
             fcntl.flock(self.file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             self.file.close()
             raise InputError(
                 f"{self.path}: another batch is writing it; wait for it, or choose another --out"
             ) from error
-        except OSError:  # the file system has no locks
+        except (OSError, ImportError):  # the file system or the system has no locks
             pass
         self._pool = Pool(MOVERS, "batch-moves")
         try:

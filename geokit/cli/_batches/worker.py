@@ -11,7 +11,6 @@ import importlib.metadata
 import json
 import os
 import platform
-import resource
 import select
 import signal
 import socket
@@ -25,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import geokit
+from geokit.core.base.system import UNLIMITED, limits
 from geokit.errors import WorkerError
 from geokit.formats.reader.server import Ended
 
@@ -54,7 +54,7 @@ def unstarted(error: BaseException) -> str:
     refused = isinstance(error, OSError) and error.errno == errno.EAGAIN
     refused |= isinstance(error, Ended) and not error.started
     # Where the address space is limited, it may be what the file needs.
-    if type(error) is RuntimeError and resource.getrlimit(resource.RLIMIT_AS)[0] == resource.RLIM_INFINITY:
+    if type(error) is RuntimeError and limits("AS")[0] == UNLIMITED:
         refused = "can't start new thread" in str(error)
     reason = getattr(error, "strerror", getattr(error, "reason", error))
     return f"a process or thread cannot be started ({reason}); {REMEDY}" if refused else ""
@@ -85,8 +85,7 @@ def end_processes() -> None:
     for process in list(_all):
         process.closed = True
         if process.running is not None:
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(process.running.pid, signal.SIGKILL)
+            _kill(process.running)
 
 
 def run_files(batch: dict[str, Any], sources: list[str]) -> list[dict[str, Any]]:
@@ -125,12 +124,8 @@ class _Process:
         """End the process, and those that it started."""
         ended, self.running = self.running, None
         if ended is not None:
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(ended.pid, signal.SIGKILL)
-            ended.wait()
-            for pipe in (ended.stdin, ended.stdout):
-                with contextlib.suppress(OSError):
-                    pipe.close()  # type: ignore[union-attr]
+            with contextlib.suppress(OSError), ended:  # waits for it, and closes its pipes
+                _kill(ended)
 
     def run(self, batch: dict[str, Any], source: str) -> dict[str, Any]:
         """The record of a file."""
@@ -185,6 +180,14 @@ class _Process:
         code = running.wait()
         reason = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
         return b"", f"its process ended by {reason}", ""
+
+
+def _kill(process: subprocess.Popen[bytes]) -> None:
+    """End a process, and those that it started where the system knows which."""
+    if not hasattr(os, "killpg"):
+        return process.kill()
+    with contextlib.suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
 
 
 def _resident(leader: int) -> int:

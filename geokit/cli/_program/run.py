@@ -9,7 +9,7 @@ import sys
 import traceback
 import warnings
 
-from geokit._packages import require_package
+from geokit._packages import DISTRIBUTION, require_package
 from geokit.cli._program.console import at_end
 from geokit.core.base.printable import printable
 from geokit.errors import GeokitError
@@ -56,7 +56,7 @@ def run(arguments: list[str]) -> int:
         return _fail(f"warning: {error}", FAILURE)
     except ModuleNotFoundError as error:
         package = (error.name or "").partition(".")[0] or str(error)
-        return _fail(f"the Python package {package} is not installed; pip install geokit brings it along", FAILURE)
+        return _fail(f"the Python package {package} is missing; pip install {DISTRIBUTION} brings it along", FAILURE)
     except BrokenPipeError:
         # The reader has closed the pipe, as in `geokit info ... | head`.
         _discard_output()

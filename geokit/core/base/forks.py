@@ -11,7 +11,10 @@ from collections.abc import Callable
 from typing import Protocol
 from weakref import WeakSet
 
-__all__ = ["ForkAware", "Lock", "renew_after_fork"]
+__all__ = ["ForkAware", "Lock", "register_at_fork", "renew_after_fork"]
+
+# Where the system has no forks, nothing is to be done at one.
+register_at_fork: Callable[..., None] = getattr(os, "register_at_fork", lambda **_: None)
 
 
 class ForkAware(Protocol):
@@ -54,5 +57,4 @@ def _renew_all() -> None:
         owner._after_fork()
 
 
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_renew_all)
+register_at_fork(after_in_child=_renew_all)

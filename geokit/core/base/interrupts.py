@@ -99,7 +99,10 @@ def _end(process: subprocess.Popen[bytes]) -> None:
         if pipe is not None:
             with contextlib.suppress(OSError):
                 pipe.close()
-    if process.returncode is None:
+    if process.returncode is None and not hasattr(os, "waitid"):
+        process.kill()
+        process.wait()
+    elif process.returncode is None:
         try:
             # Only a process that was not waited for keeps its number.
             os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT)

@@ -7,11 +7,9 @@ folder at the same place next finds those without an owner and removes them.
 from __future__ import annotations
 
 import contextlib
-import fcntl
-import grp
 import io
 import os
-import pwd
+import platform
 import re
 import secrets
 import stat
@@ -23,6 +21,11 @@ from pathlib import Path
 
 from geokit.core.base.interrupts import ATTEMPTS
 from geokit.errors import FileAccessError, InputError
+
+try:
+    import fcntl
+except ImportError:  # not a POSIX system: what killed processes leave stays
+    fcntl = None  # type: ignore[assignment]
 
 __all__ = ["distrust", "make_own", "private_folder", "remove_folder", "require_trusted", "temporary_parent"]
 
@@ -100,6 +103,8 @@ def _make(parent: Path, made: list[_Made]) -> Path:
         one = _Made(parent)
         made.append(one)
         os.mkdir(one.path, 0o700)
+        if fcntl is None:
+            return one.path
         try:
             # An object that closes itself: a number would be lost with an interrupt, and the lock kept.
             one.lock = io.FileIO(one.path / LOCK, "ab")
@@ -175,6 +180,8 @@ def require_trusted(path: Path) -> None:
 
 def distrust(place: Path, found: os.stat_result, bits: int = OTHERS) -> str:
     """Why somebody else than this user and root could have filled a folder or written a file; "" if nobody could."""
+    if not hasattr(os, "geteuid"):  # permissions lie elsewhere than in these numbers
+        return ""
     # Whoever owns the top folder is root, also in a container that shows root by another number.
     if found.st_uid not in (os.geteuid(), os.stat("/").st_uid):
         return "belongs to another user"
@@ -187,6 +194,9 @@ def _is_alone(place: Path, found: os.stat_result) -> bool:
     with contextlib.suppress(OSError, AttributeError):  # there is no access control list, or no such thing
         os.getxattr(place, "system.posix_acl_access")
         return False  # the bits of the group are then what anyone in the list may have
+    import grp
+    import pwd
+
     with contextlib.suppress(KeyError):
         owner, group = pwd.getpwuid(found.st_uid).pw_name, grp.getgrgid(found.st_gid)
         return group.gr_name == owner and {*group.gr_mem} <= {owner}
@@ -199,12 +209,12 @@ def _require(place: Path, reason: str) -> None:
 
 
 def _machine() -> str:
-    return f"{zlib.crc32(os.uname().nodename.encode()):08x}"
+    return f"{zlib.crc32(platform.node().encode()):08x}"
 
 
 def _remove_abandoned(parent: Path) -> None:
     key = str(parent)
-    if time.monotonic() < _next_look.get(key, 0.0):
+    if fcntl is None or time.monotonic() < _next_look.get(key, 0.0):
         return
     started = time.thread_time()
     with contextlib.suppress(OSError), os.scandir(parent) as entries:

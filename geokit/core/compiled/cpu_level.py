@@ -12,6 +12,7 @@ import platform
 from pathlib import Path
 from typing import Any
 
+from geokit.core.base.system import said
 from geokit.errors import InputError
 
 __all__ = ["LEVELS", "NATIVE", "choose", "flags_of", "level"]
@@ -43,10 +44,7 @@ def level() -> str:
 @functools.cache
 def _features() -> frozenset[str]:
     """Features of the processors, as Linux names them; none on other systems."""
-    if platform.machine() != "x86_64" or not _FEATURES.is_file():
-        return frozenset()
-    lines = _FEATURES.read_text(encoding="ascii", errors="replace").splitlines()
-    return frozenset(next((line for line in lines if line.startswith("flags")), "").split())
+    return frozenset(said(_FEATURES, "flags") if platform.machine() == "x86_64" else ())
 
 
 def flags_of(name: str) -> str | None:

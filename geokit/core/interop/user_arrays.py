@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import functools
 import math
+import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -443,15 +444,11 @@ def _bad_row(name: str, row: int, values: list[float], largest: float) -> InputE
 def _to_numpy(out: "wp.array", is_float32: bool) -> np.ndarray:
     memory = _memory_of(out) if isinstance(out, HostArray) else download(_as_warp(out))[0]
     is_cast = is_float32 and memory.dtype == np.float64
-    convert = _as_float32 if is_cast else np.ndarray.copy
+    convert = operator.methodcaller("astype", np.float32) if is_cast else np.ndarray.copy
     result = convert(memory) if is_cast else memory
     if recording := prepared.current():
         recording.derived(result, memory, convert)
     return result
-
-
-def _as_float32(values: np.ndarray) -> np.ndarray:
-    return values.astype(np.float32)
 
 
 def _memory_of(results: HostArray) -> np.ndarray:

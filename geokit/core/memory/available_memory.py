@@ -5,6 +5,7 @@ It is checked before a large allocation, because a process that the system kills
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import os
 from collections.abc import Callable
@@ -12,13 +13,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from geokit.core.base.system import UNLIMITED, limits, said
 from geokit.core.launches.cuda_driver import cuda_driver
 from geokit.errors import DeviceMemoryError
-
-try:
-    import resource
-except ImportError:  # not on Windows
-    resource = None  # type: ignore[assignment]
 
 if TYPE_CHECKING:
     import warp as wp
@@ -27,7 +24,6 @@ __all__ = ["available", "available_host", "require_room"]
 
 # Used where the system reports nothing: small enough for any machine, large enough for ordinary work.
 ASSUMED_BYTES = 4 << 30
-UNLIMITED = 1 << 62
 RESERVED_MEMORY, USED_MEMORY = 5, 7  # CU_MEMPOOL_ATTR_RESERVED_MEM_CURRENT, CU_MEMPOOL_ATTR_USED_MEM_CURRENT
 
 
@@ -89,29 +85,18 @@ def _idle_in_pool(device: "wp.Device") -> int:
 
 
 def _free() -> int:
-    try:
-        with open("/proc/meminfo", encoding="ascii") as file:
-            for line in file:
-                if line.startswith("MemAvailable:"):
-                    return int(line.split()[1]) << 10
-    except OSError:
-        if hasattr(os, "sysconf") and "SC_AVPHYS_PAGES" in os.sysconf_names:
-            return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    if words := said("/proc/meminfo", "MemAvailable:"):
+        return int(words[0]) << 10
+    with contextlib.suppress(AttributeError, ValueError):  # not asked by that name, or not at all
+        return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     return ASSUMED_BYTES
 
 
 def _address_space_rest() -> int:
     """Bytes that can still be mapped; every mapping counts, whether it is used or not."""
-    if resource is None:
-        return UNLIMITED
-    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-    if limit == resource.RLIM_INFINITY:
-        return UNLIMITED
-    try:
-        with open("/proc/self/statm", encoding="ascii") as file:
-            return max(0, limit - int(file.read().split()[0]) * resource.getpagesize())
-    except (OSError, ValueError):
-        return UNLIMITED
+    limit = limits("AS")[0]
+    mapped = said("/proc/self/status", "VmSize:") if limit < UNLIMITED else []
+    return max(0, limit - (int(mapped[0]) << 10)) if mapped else UNLIMITED
 
 
 @lru_cache(maxsize=1)

@@ -148,7 +148,8 @@ def _open_ply(path: Path) -> TriangleFile:
         for axis, letter in enumerate("xyz"):
             found[..., axis] = vertices[letter][indices]
         # What was read stays in the system's cache; it should not count as memory of this process.
-        vertices._mmap.madvise(mmap.MADV_DONTNEED)
+        if hasattr(mmap, "MADV_DONTNEED"):
+            vertices._mmap.madvise(mmap.MADV_DONTNEED)
         return found
 
     return TriangleFile(path, face_count, dtype, read)

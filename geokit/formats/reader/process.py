@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import math
-import signal
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ from geokit.formats.reader import server as reader_server
 from geokit.formats.reader.warnings import warn_of
 from geokit.formats.reader.worker import HEAD_SIZE
 
-__all__ = ["ask", "read_grids", "read_mesh", "read_points", "reading_seconds"]
+__all__ = ["FROM_OUTSIDE", "ask", "killed", "read_grids", "read_mesh", "read_points", "reading_seconds", "request_of"]
 
 # The process has its libraries ready; the slowest reader (ASCII .msh) takes 0.4 s for a megabyte.
 BASE_SECONDS = 15.0
@@ -39,7 +39,7 @@ COPIES = 4
 LONGEST_ERROR = 1 << 16
 
 # Signals that no reader gets for what it does: those of the system when memory runs out, of users, of batch systems.
-FROM_OUTSIDE = {signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP}
+FROM_OUTSIDE = {"SIGKILL", "SIGTERM", "SIGINT", "SIGHUP"}
 
 Named = list[tuple[str, NDArray[Any]]]
 
@@ -61,7 +61,7 @@ def read_mesh(
         MissingDependencyError: The reader's library is not installed.
         WorkerError: The process did not start, or was killed from outside.
     """
-    request = _request(path, "mesh", limit, None if folders is None else [str(folder) for folder in folders])
+    request = request_of(path, "mesh", limit, None if folders is None else [str(folder) for folder in folders])
     request["options"] = dict(options or {})
     facts, arrays = ask(path, module, request, reading_seconds(path), "export it again")
     bodies, rest = [], iter(arrays)
@@ -101,7 +101,7 @@ def read_points(path: Path, module: str, limit: int) -> tuple[NDArray[np.float64
         MissingDependencyError: The reader's library is not installed.
         WorkerError: The process did not start, or was killed from outside.
     """
-    request = _request(path, "points", limit)
+    request = request_of(path, "points", limit)
     _, arrays = ask(path, module, request, reading_seconds(path), "get a whole copy")
     (_, points), *data = arrays
     return points, dict(data)
@@ -120,7 +120,7 @@ def read_grids(path: Path, module: str, limit: int, names: list[str]) -> tuple[A
     Raises:
         FileAccessError, FileFormatError, MissingDependencyError, WorkerError: As :func:`read_mesh`.
     """
-    return ask(path, module, _request(path, "grids", limit, names), reading_seconds(path), "export it again")
+    return ask(path, module, request_of(path, "grids", limit, names), reading_seconds(path), "export it again")
 
 
 def reading_seconds(path: Path) -> float:
@@ -128,7 +128,8 @@ def reading_seconds(path: Path) -> float:
     return BASE_SECONDS + SECONDS_PER_MEGABYTE * path.stat().st_size / 1e6
 
 
-def _request(path: Path, content: str, limit: int, names: list[str] | None = None) -> dict[str, Any]:
+def request_of(path: Path, content: str, limit: int, names: list[str] | None = None) -> dict[str, Any]:
+    """What :func:`ask` takes, with the memory that libraries need."""
     memory = LIBRARY_BYTES + min(COPIES * limit, available_host())
     return {"content": content, "path": str(path.resolve()), "names": names, "limit": limit, "memory": memory}
 
@@ -147,6 +148,11 @@ def ask(path: Path, module: str, request: dict[str, Any], seconds: float, advice
     Raises:
         FileAccessError, FileFormatError, MissingDependencyError, WorkerError: As :func:`read_mesh`.
     """
+    if not hasattr(os, "fork"):
+        raise WorkerError(
+            f"{path}: is read in a fork of a process, which this system does not make; pass trusted=True to read it in "
+            "this one, if you trust the file"
+        )
     limit = request["limit"]
     too_late = f"{path}: not read after {seconds:.0f} s, its reader was stopped; the file is damaged, {advice}"
     too_large = FileFormatError(
@@ -186,6 +192,14 @@ def ask(path: Path, module: str, request: dict[str, Any], seconds: float, advice
     raise FileFormatError(f"{path}: cannot be read ({reason}); the file is damaged or not what its name says, {advice}")
 
 
+def killed(path: Path, name: str) -> WorkerError:
+    """The error of a process that a signal of FROM_OUTSIDE ended."""
+    return WorkerError(
+        f"{path}: the process that reads it was killed from outside ({name}), perhaps for want of memory; read the "
+        "file again"
+    )
+
+
 def _ended(path: Path, end: reader_server.Ended, too_late: str, advice: str) -> GeokitError:
     """What it means that the process ended before its answer was complete."""
     if isinstance(end.reason, int):
@@ -197,12 +211,9 @@ def _ended(path: Path, end: reader_server.Ended, too_late: str, advice: str) -> 
             f"{path}: the process that reads it did not start ({name}); free memory, or raise its limits (ulimit -a), "
             "and read the file again"
         )
-    if not isinstance(end.reason, int) or -end.reason in FROM_OUTSIDE:
-        return WorkerError(
-            f"{path}: the process that reads it was killed from outside ({name}), perhaps for want of memory; read the "
-            "file again"
-        )
-    if -end.reason == signal.SIGALRM:
+    if not isinstance(end.reason, int) or name in FROM_OUTSIDE:
+        return killed(path, name)
+    if name == "SIGALRM":
         return FileFormatError(too_late)
     if end.reason < 0:
         return FileFormatError(f"{path}: crashed its reader ({name}); the file is damaged, {advice}")

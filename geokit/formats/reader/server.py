@@ -20,7 +20,6 @@ import atexit
 import contextlib
 import io
 import os
-import resource
 import select
 import signal
 import socket
@@ -35,7 +34,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core.base.forks import register_at_fork
 from geokit.core.base.interrupts import child_process
+from geokit.core.base.system import limits
 from geokit.formats.reader import worker as reader_worker
 
 __all__ = ["Ended", "Exchange", "TimeExpired", "exchange", "status_name"]
@@ -145,11 +146,8 @@ def exchange(module: str, request: dict[str, Any], seconds: float) -> Iterator[E
         Ended: The process did not start, or ended before its answer was complete.
         TimeExpired: The answer did not come in time.
     """
-    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-    limits = [limit for limit in (request["memory"], soft, hard) if limit != resource.RLIM_INFINITY]
-    content = reader_worker.encoded(
-        {**request, "memory": min(limits), "seconds": seconds, "environment": _environment()}
-    )
+    memory = min(request["memory"], *limits("AS"))
+    content = reader_worker.encoded({**request, "memory": memory, "seconds": seconds, "environment": _environment()})
     # The first server may have ended meanwhile, of age or killed from outside.
     for last in (False, True):
         with _passed(module, seconds + GRACE_SECONDS) as found:
@@ -260,4 +258,4 @@ def _forget_all() -> None:
 
 
 atexit.register(_forget_all)
-os.register_at_fork(before=_lock.acquire, after_in_parent=_lock.release, after_in_child=_lock.release)
+register_at_fork(before=_lock.acquire, after_in_parent=_lock.release, after_in_child=_lock.release)

@@ -13,7 +13,6 @@ import importlib
 import json
 import os
 import re
-import resource
 import select
 import signal
 import socket
@@ -24,6 +23,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple, TypedDict
 
+from geokit.core.base.system import limits
 from geokit.errors import FileAccessError, FileFormatError
 from geokit.formats.file_content.body import Body
 from geokit.formats.reader.warnings import collected
@@ -92,7 +92,7 @@ def main() -> None:
         for standard in range(3):
             os.dup2(nothing, standard)
         os.chdir("/")
-        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        _limit("CORE", 0)
         signal.signal(signal.SIGINT, signal.SIG_DFL)
         # Collections write to pages that the forks share.
         gc.freeze()
@@ -225,7 +225,7 @@ def _answer(channel: socket.socket, reader: ModuleType) -> None:
     if os.environ != request["environment"]:
         os.environ.clear()
         os.environ.update(request["environment"])
-    _limit_memory(request["memory"])
+    _limit("AS", request["memory"])
     channel.sendall(READY)
     head, buffers = _read(request, reader)
     text = json.dumps(head).encode()
@@ -270,11 +270,12 @@ def _read(request: Request, reader: ModuleType) -> tuple[dict[str, Any], list[An
         return {"reason": re.sub(r"\s+", " ", f"{type(error).__name__}: {error}").strip()[:300]}, []
 
 
-def _limit_memory(size: int) -> None:
-    """Limit the address space to ``size`` bytes, or to a lower limit that the process has."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-    least = min(limit for limit in (size, soft, hard) if limit != resource.RLIM_INFINITY)
-    resource.setrlimit(resource.RLIMIT_AS, (least, hard))
+def _limit(kind: str, size: int) -> None:
+    """Lower a limit of the process, such as that of the address space, to ``size`` bytes, if it is not lower."""
+    import resource
+
+    number = getattr(resource, f"RLIMIT_{kind}")
+    resource.setrlimit(number, (min(size, *limits(kind)), resource.getrlimit(number)[1]))
 
 
 def _mesh(bodies: list[Body]) -> tuple[Any, Named]:

@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit._warn import warn
-from geokit.core.base.private_folder import private_folder
-from geokit.core.files import atomic_path, extension, is_there
+from geokit.core.files import atomic_path, extension, folder_beside, is_there, sync
 from geokit.errors import FileAccessError, GeokitError, InputError
 from geokit.formats.images.image import LARGEST_COSINE, METERS, Image, affine
 from geokit.formats.images.stream import rows_at_a_time
@@ -141,26 +140,12 @@ def _atomic_folder(target: Path) -> Iterator[Path]:
     if is_there(target) and not any((target / name).is_file() for name in ZARR):
         raise FileAccessError(f"{target}: exists and is no zarr folder; choose another name")
     real = Path(os.path.realpath(target))
-    if not real.parent.is_dir():
-        raise FileAccessError(f"{target}: the folder {real.parent} does not exist; create it first")
-    part = None
-    try:
-        with private_folder(real.parent) as folder:
-            part = folder / "part.zarr"
-            yield part
-            for one in (*part.rglob("*"), part):
-                descriptor = os.open(one, os.O_RDONLY)
-                try:
-                    os.fsync(descriptor)
-                finally:
-                    os.close(descriptor)
-            _replace_folder(part, real, folder / "old")
-    except OSError as error:
-        if isinstance(error, FileAccessError):
-            raise
-        if part is None:
-            raise FileAccessError(f"{target}: cannot write there ({error.strerror}); choose another folder") from error
-        raise FileAccessError(f"{target}: writing failed ({error.strerror or error}); check the disk") from error
+    with folder_beside(real, target) as folder:
+        part = folder / "part.zarr"
+        yield part
+        for one in (*part.rglob("*"), part):
+            sync(one)
+        _replace_folder(part, real, folder / "old")
 
 
 def _replace_folder(part: Path, real: Path, old: Path) -> None:

@@ -214,6 +214,13 @@ def _entries(file: BufferedReader, path: Path) -> Iterator[_Entry]:
         yield from entries
 
 
+def _bytes(file: BufferedReader, count: int, at: int) -> bytes:
+    if hasattr(os, "pread"):
+        return os.pread(file.fileno(), count, at)
+    file.seek(at)
+    return file.read(count)
+
+
 def _is_raw_grid(start: bytes, size: int) -> bool:
     # A file and a grid may start with the same magic number; the following bytes tell them apart.
     if len(start) < HEAD_SIZE:
@@ -234,7 +241,7 @@ def _is_raw_grid(start: bytes, size: int) -> bool:
 def _raw_entries(file: BufferedReader, size: int, path: Path) -> Iterator[_Entry]:
     at = 0
     while at < size:
-        head = np.frombuffer(os.pread(file.fileno(), HEAD_SIZE, at), np.uint8).copy()
+        head = np.frombuffer(_bytes(file, HEAD_SIZE, at), np.uint8).copy()
         if len(head) < HEAD_SIZE or int(grid_header(head)["magic"]) not in (MAGIC_OLD, MAGIC_GRID):
             raise FileFormatError(f"{path}: no NanoVDB grid at byte {at}; {REMEDY}")
         grid = grid_header(head)
@@ -247,7 +254,7 @@ def _raw_entries(file: BufferedReader, size: int, path: Path) -> Iterator[_Entry
 
 
 def _segment(file: BufferedReader, at: int, size: int, path: Path) -> tuple[list[_Entry], int]:
-    raw = os.pread(file.fileno(), FILE_HEADER.itemsize, at)
+    raw = _bytes(file, FILE_HEADER.itemsize, at)
     if len(raw) < FILE_HEADER.itemsize:
         raise FileFormatError(f"{path}: {len(raw)} bytes at byte {at} are no .nvdb segment; {REMEDY}")
     header = np.frombuffer(raw, FILE_HEADER)[0]
@@ -296,12 +303,12 @@ def _stored_size(file: BufferedReader, at: int, declared: int, grid_size: int, c
         # Follow lengths no further than the declared count, since a damaged length cannot be trusted.
         if followed - at > declared:
             return declared
-        followed += 8 + int.from_bytes(os.pread(file.fileno(), 8, followed), "little")
+        followed += 8 + int.from_bytes(_bytes(file, 8, followed), "little")
     return declared + 8 * frames if followed - at == declared + 8 * frames else declared
 
 
 def _metadata(file: BufferedReader, at: int, size: int, path: Path) -> tuple[Any, str, int]:
-    raw = os.pread(file.fileno(), FILE_METADATA.itemsize, at)
+    raw = _bytes(file, FILE_METADATA.itemsize, at)
     if len(raw) < FILE_METADATA.itemsize:
         raise FileFormatError(f"{path}: the file ends inside the metadata at byte {at}; {REMEDY}")
     block = np.frombuffer(raw, FILE_METADATA)[0]
@@ -309,13 +316,13 @@ def _metadata(file: BufferedReader, at: int, size: int, path: Path) -> tuple[Any
     length = int(block["name_size"])
     if length > size - at:
         raise FileFormatError(f"{path}: a name of {length} bytes at byte {at} does not fit; {REMEDY}")
-    name = decoded_name(os.pread(file.fileno(), length, at))
+    name = decoded_name(_bytes(file, length, at))
     return block, name, at + length
 
 
 def _head_of(file: BufferedReader, entry: _Entry, size: int, where: str) -> NDArray[np.uint8]:
     def fetch(start: int, count: int) -> bytes:
-        return os.pread(file.fileno(), count, entry.start + start)
+        return _bytes(file, count, entry.start + start)
 
     return decompress_head(entry.codec, fetch, entry.stored, min(size, entry.grid_size), where)
 

@@ -26,7 +26,12 @@ def test_a_process_that_starts_while_all_are_ended_is_ended_too(monkeypatch: pyt
     assert record["status"] == "failed"
 
 
-def test_a_file_that_takes_too_long_fails_and_its_process_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("has_groups", [True, False])
+def test_a_file_that_takes_too_long_fails_and_its_process_is_ended(
+    has_groups: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not has_groups:
+        monkeypatch.delattr("os.killpg")
     started: list[subprocess.Popen[bytes]] = []
     process, start = worker._Process(1), subprocess.Popen
 

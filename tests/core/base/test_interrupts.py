@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -94,6 +95,14 @@ def test_a_process_that_has_ended_tells_its_status():
     with child_process(["sleep", "60"]) as process:
         pass
     assert process.returncode == -signal.SIGKILL
+
+
+def test_a_process_is_ended_where_the_system_has_no_waitid(monkeypatch):
+    monkeypatch.delattr(os, "waitid")
+    with child_process(["sleep", "60"], stdout=subprocess.PIPE) as process:
+        pass
+    assert process.returncode == -signal.SIGKILL
+    assert process.stdout.closed
 
 
 def test_no_lock_stays_taken():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import grp
 import itertools
 import os
 import signal
@@ -284,7 +285,7 @@ def test_a_group_of_the_owner_alone_may_write(shared, monkeypatch):
     folder = place(shared / "folder", 0, 0o775)
     require_trusted(folder)  # the group root
     others = SimpleNamespace(gr_name="root", gr_mem=["root", "somebody"])
-    monkeypatch.setattr(module.grp, "getgrgid", lambda _: others)
+    monkeypatch.setattr(grp, "getgrgid", lambda _: others)
     with pytest.raises(InputError, match="may be written by other users"):
         require_trusted(folder)
 
