@@ -18,7 +18,7 @@ from geokit.core.interop.types import Device, MeshLike
 from geokit.core.interop.user_arrays import FROM_ZERO, require_finite_scalar
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_flag
-from geokit.errors import InputError
+from geokit.errors import DeviceMemoryError, InputError
 from geokit.mesh.attributes.derived import used_vertices
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.queries.hausdorff import DistanceSearch
@@ -45,6 +45,8 @@ PART = 12
 TRIALS = 8
 # Vertices this many times the distance from a face that crosses others stay.
 AROUND = 1.5
+# Roundings of coordinates that a tolerance has at least: with fewer, vertices of the isosurface fall on each other.
+ROUNDINGS = 2.0**14
 # Width of the bound of the deviation, as a share of the tolerance.
 BOUND_SHARE = 0.02
 
@@ -81,11 +83,11 @@ def wrap(
     returned, for all points of its faces; nothing is asked of the input.
 
     Everything grows by about half the tolerance, and edges are rounded off within it. Sheets become plates of about the
-    tolerance. Holes and cracks in the walls of a body are closed if they are narrower than ``gap``, or than the
-    tolerance. Between sheets that have both sides outside, only those narrower than about 1.3 times the square root of
-    ``tolerance * gap`` are. Through others the wrap goes inside, and covers what is there too: a body with a hole is
-    closed from both sides of its wall. What cannot be reached from outside is left out, unless ``cavities`` are asked
-    for.
+    tolerance. Holes and cracks in the walls of a body are closed if they are narrower than ``gap``, or than about a
+    third of the tolerance. Between sheets that have both sides outside, only those narrower than about 1.3 times the
+    square root of ``tolerance * gap`` are. Through others the wrap goes inside, and covers what is there too: a body
+    with a hole is closed from both sides of its wall. What cannot be reached from outside is left out, unless
+    ``cavities`` are asked for.
 
     Time and memory go with the area over the square of the tolerance; with a hundredth of the size it takes seconds.
     Faces are merged on the CPU. More of them are left where sheets are nearer to each other than the tolerance.
@@ -93,14 +95,15 @@ def wrap(
     Args:
         mesh: Anything with faces. A face may be a point: rows (i, i, i) wrap a cloud.
         tolerance: Largest distance of the wrap from the input [world].
-        gap: Largest width of holes to close in the walls of bodies [world].
+        gap: Largest width of holes to close in the walls of bodies [world]; beyond the diagonal it counts as that.
         cavities: Whether to keep the walls of cavities.
         device: Where distances are measured; None for the first GPU, else the CPU.
     Returns:
         Wrapped with mesh, deviation [world], bridges (F,), component_count, genus, cavity_count.
     Raises:
         InputError: mesh is no mesh or has no faces; tolerance is not a positive finite number, gap is negative or not
-            finite, cavities is no flag, there is no such device, or nothing could be proven within the tolerance.
+            finite, cavities is no flag, there is no such device, the mesh is so far from the origin that the tolerance
+            is rounded away, or nothing could be proven within it.
         DeviceMemoryError: There is not enough memory for voxels of this size.
     Source:
         Lorensen and Cline (1987) for the isosurface; Garland and Heckbert (1997) for the collapse. The aim is that of
@@ -119,21 +122,29 @@ def wrap(
         raise InputError(
             f"mesh: {given.name or 'it'} has no faces; there is nothing to wrap (of points, give faces (i, i, i))"
         )
-    source = Surface(given, device=launcher.resolve_device(device))
+    if (least := float(np.spacing(np.abs(given.bounds).max())) * ROUNDINGS) > tolerance:
+        raise InputError(f"tolerance: {tolerance:g} is too small this far from 0; move the mesh, or give {least:g}")
+    # Lengths in a power of two near the tolerance, which rounds nothing: voxels of any size fit into float32.
+    unit = int(np.frexp(tolerance)[1])
+    gap = min(gap, float(np.hypot.reduce(np.ptp(given.bounds, axis=0))))
+    tolerance, gap = (float(np.ldexp(length, -unit)) for length in (tolerance, gap))
+    source = Surface((np.ldexp(given.vertices, -unit), given.faces), device=launcher.resolve_device(device))
     found: Wrapped | str = ""
     for lattice in range(LATTICES):
         level, voxel = (share * tolerance * SMALLER**lattice for share in (LEVEL, VOXEL))
-        full, removed = _around(source, level, voxel, gap, cavities)
+        try:
+            full, removed = _around(source, level, voxel, gap, cavities)
+        except DeviceMemoryError as error:
+            told = f"voxels for {np.ldexp(tolerance, unit):g} need about {error.need >> 20} MiB, more than there is"
+            raise DeviceMemoryError(f"tolerance: {told}; give a larger tolerance", need=error.need) from error
         for one in reversed([full, *_merged(full, source, level)]):
             found = _proven(one, source, tolerance, gap)
             if isinstance(found, Wrapped):
                 said: Any = {key: getattr(given, key) for key in ("name", "meters_per_unit", "up_axis")}
-                return found._replace(
-                    mesh=TriangleMesh(found.mesh.vertices, found.mesh.faces, **said), cavity_count=removed
-                )
+                made = TriangleMesh(np.ldexp(found.mesh.vertices, unit), found.mesh.faces, **said)
+                return found._replace(mesh=made, deviation=float(np.ldexp(found.deviation, unit)), cavity_count=removed)
     raise InputError(
-        f"tolerance: no wrap of {given.name or 'the mesh'} within {tolerance:g} could be proven: {found}; "
-        "give a larger tolerance"
+        f"tolerance: no wrap of {given.name or 'the mesh'} could be proven within it: {found}; give a larger tolerance"
     )
 
 
@@ -201,14 +212,9 @@ def _wrong(found: TriangleMesh, source: Surface) -> NDArray[np.bool_]:
     wrong[surface.self_intersections()] = True
     wrong[surface.intersecting_triangles(source)[:, 0]] = True
     if not wrong.any():
-        outside = _points_of(source)[~surface.contains(_points_of(source))]
-        wrong[surface.closest_point(outside).triangle_id] = True
+        points = source.mesh.vertices[used_vertices(source.mesh.faces, source.mesh.vertex_count)[0]]
+        wrong[surface.closest_point(points[~surface.contains(points)]).triangle_id] = True
     return wrong
-
-
-def _points_of(source: Surface) -> NDArray[np.float64]:
-    mesh = source.mesh
-    return mesh.vertices[used_vertices(mesh.faces, mesh.vertex_count)[0]]
 
 
 def _proven(found: TriangleMesh, source: Surface, tolerance: float, gap: float) -> Wrapped | str:
@@ -222,7 +228,7 @@ def _proven(found: TriangleMesh, source: Surface, tolerance: float, gap: float) 
     search = DistanceSearch(source, BOUND_SHARE * tolerance, 0.0)
     search.run(found, *search.measure_vertices(found))
     if search.upper > tolerance + gap:
-        return f"it is {search.upper:g} away from the input"
+        return f"it is {search.upper / tolerance:g} tolerances away from the input"
     far = source.closest_point(found.vertices).distance > tolerance
     genus = report.component_count - report.euler_number // 2
     return Wrapped(found, search.upper, far[found.faces].any(axis=1), report.component_count, genus, 0)

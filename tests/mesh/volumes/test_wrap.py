@@ -121,6 +121,39 @@ def test_slots_between_sheets_are_closed_up_to_the_width_that_is_stated() -> Non
     assert wrap(slotted, tolerance=0.05, device="cpu").mesh.volume < 0.5
 
 
+def test_without_a_gap_slots_of_a_third_of_the_tolerance_are_closed() -> None:
+    case = box((1.0, 1.0, 1.0))
+    lid = case.vertices[case.faces].mean(axis=1)[:, 2] > 0.4
+    for width, gap, closed in ((0.03, 0.0, True), (0.1, 0.0, False), (0.1, 0.1, True)):
+        half = (1.0 - width) / 2.0
+        strips = [plane((half, 1.0), center=(side * (width + half) / 2.0, 0.0, 0.5)) for side in (-1.0, 1.0)]
+        slotted = concatenated(TriangleMesh(case.vertices, case.faces[~lid]), *strips)
+        for seed in range(3):
+            found = wrap(turned(slotted, seed, 0.0), tolerance=0.09, gap=gap, device="cpu").mesh
+            assert (found.volume > 0.9) is closed
+
+
+@pytest.mark.parametrize("size", [1e-310, 1e-200, 1e-40, 1e40, 1e150, 1e200])
+def test_lengths_of_any_size_are_wrapped(size: float) -> None:
+    """Voxels of such sizes do not fit into float32."""
+    scaled = TriangleMesh(size * BALL.vertices, BALL.faces)
+    found = wrap(scaled, tolerance=0.1 * size, gap=0.2 * size, device="cpu")
+    assert audit(TriangleMesh(found.mesh.vertices / size, found.mesh.faces), self_intersections=True).watertight
+    assert 0.04 < found.deviation / size <= 0.1
+
+
+def test_a_gap_beyond_the_diagonal_counts_as_that() -> None:
+    open_ball = without(BALL, 0.05)
+    one, other = (wrap(open_ball, tolerance=0.4, gap=gap, device="cpu") for gap in (open_ball.diagonal, 1e30))
+    np.testing.assert_array_equal(one.mesh.vertices, other.mesh.vertices)
+
+
+def test_coordinates_that_are_rounded_too_much_are_refused() -> None:
+    far = TriangleMesh(BALL.vertices + 1e15, BALL.faces)
+    with pytest.raises(InputError, match=r"tolerance: 0\.1 is too small this far from 0; move the mesh, or give 2048"):
+        wrap(far, tolerance=0.1)
+
+
 def test_cavities_are_left_out_or_kept() -> None:
     hollow = concatenated(BALL, sphere(0.5, segments=12))
     solid, kept = (wrap(hollow, tolerance=0.1, cavities=flag, device="cpu") for flag in (False, True))
@@ -155,6 +188,9 @@ def test_bad_input_is_named() -> None:
         wrap(TriangleMesh(BALL.vertices, BALL.faces[:0]), tolerance=0.1)
 
 
-def test_a_tolerance_that_no_memory_holds_is_refused() -> None:
-    with pytest.raises((InputError, gk.errors.DeviceMemoryError)):
-        wrap(BALL, tolerance=1e-7, device="cpu")
+@pytest.mark.parametrize("tolerance", ["1e-07", "0.0001"])
+def test_a_tolerance_that_no_memory_holds_is_refused_in_words_of_the_call(tolerance: str) -> None:
+    with pytest.raises(
+        gk.errors.DeviceMemoryError, match=rf"^tolerance: voxels for {tolerance} need about .* MiB.*larger tolerance"
+    ):
+        wrap(BALL, tolerance=float(tolerance), device="cpu")
