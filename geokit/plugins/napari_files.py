@@ -84,9 +84,8 @@ def _surface(mesh: Any, name: str) -> Layer:
 
 def _images(volume: Any, path: str | os.PathLike[str], name: str) -> list[Layer]:
     dense = dense_of(volume, path, MOST_BYTES)
-    transform = dense.transform.copy()
-    transform[:3, 3] += transform[:3, :3] @ dense.origin
-    placed = {"metadata": {"grid_class": volume.info.grid_class}, **_place(transform[REVERSED][:, REVERSED])}
+    place = _place(dense.array_transform[REVERSED][:, REVERSED])
+    placed = {"metadata": {"grid_class": volume.info.grid_class}, **place}
     values = dense.values.transpose(2, 1, 0, *range(3, dense.values.ndim))
     if values.ndim == 3 or volume.info.grid_type in COLORS:
         return [(values, {"name": name, **placed, **({"rgb": True} if values.ndim == 4 else {})}, "image")]

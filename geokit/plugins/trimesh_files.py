@@ -93,9 +93,7 @@ def load_voxels(
     if dense.values.ndim != 3:
         raise InputError(f"{path}: grid {volume.info.name!r} holds vectors, which fill nothing; choose scalars")
     filled = dense.values <= isovalue if is_level_set(volume) else dense.values > isovalue
-    transform = dense.transform.copy()
-    transform[:3, 3] += transform[:3, :3] @ dense.origin
-    return VoxelGrid(filled, transform, metadata={"name": volume.info.name})
+    return VoxelGrid(filled, dense.array_transform, metadata={"name": volume.info.name})
 
 
 def _read(file_obj: Any, kind: str, grid: str | None) -> tuple[Any, str | os.PathLike[str]]:
