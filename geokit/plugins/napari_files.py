@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from geokit.core.files import extension
 from geokit.formats.table import SPARSE, extensions
-from geokit.plugins._grids import MOST_BYTES, dense_of, is_level_set
+from geokit.plugins._grids import MOST_BYTES, dense_of
 
 __all__ = ["mesh_reader", "read_meshes", "read_volumes", "volume_reader"]
 
@@ -55,7 +55,7 @@ def read_volumes(path: Paths) -> list[Layer]:
     for one in _listed(path):
         for name, volume in load_all(one).items():
             name = name or _stem(one)
-            if is_level_set(volume):
+            if volume.info.grid_class == "level set":
                 layers.append(_surface(from_volume(volume), name))
             else:
                 layers += _images(volume, one, name)
