@@ -1,4 +1,4 @@
-"""Files that a wheel has beside the modules, and a checkout elsewhere: samples and guides. Standard library only."""
+"""Files that a wheel has beside the modules, and a checkout elsewhere: samples and pages. Standard library only."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from geokit.errors import FileAccessError, InputError
 __all__ = ["folder_of", "sample_path"]
 
 # By the name within a wheel, as pyproject.toml packs them.
-IN_CHECKOUT = {"guides": "docs/guides", "samples": "data/samples"}
+IN_CHECKOUT = {"docs": "docs", "guides": "docs/guides", "samples": "data/samples"}
 
 
 def folder_of(kind: str) -> Path:
-    """The folder of the guides or of the samples."""
+    """The folder of the guides, of the samples, or of the page on the command line."""
     package = Path(__file__).resolve().parent
     for folder in (package / kind, package.parent / IN_CHECKOUT[kind]):
         if folder.is_dir():

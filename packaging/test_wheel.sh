@@ -46,6 +46,7 @@ inside "pip install --quiet --disable-pip-version-check wheels/$(basename "$whee
 inside "pip install --quiet --disable-pip-version-check --force-reinstall --no-deps wheels/$(basename "$wheel")"
 inside "du -sh /opt/geokit/ | cut -f1"
 inside "geokit doctor"
+inside "geokit info --help | grep -A1 Examples:"
 inside "python try_wheel.py ${BESIDE:-}"
 # Figures need an OpenGL library: without one, the error names the packages; then they are drawn.
 if ! chroot "$root" dpkg -s libegl1 >/dev/null 2>&1; then

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from geokit.accuracy.trials.model import Subject
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_flag
@@ -100,11 +98,6 @@ def _torus_volume() -> Subject:
 
 
 def _torus_cloud() -> Subject:
-    from geokit.accuracy.stability.shapes import on_torus
+    from geokit.accuracy.charts.point_normals import torus_cloud
 
-    random = np.random.default_rng(6)
-    # Uniform by area: the outer side of the ring has more of it than the inner side.
-    v = random.uniform(0.0, 2.0 * np.pi, 4 * CLOUD_COUNT)
-    chosen = random.random(len(v)) * (RADII[0] + RADII[1]) < RADII[0] + RADII[1] * np.cos(v)
-    v = v[chosen][:CLOUD_COUNT]
-    return Subject("torus cloud", points=on_torus(random.uniform(0.0, 2.0 * np.pi, len(v)), v, *RADII))
+    return Subject("torus cloud", points=torus_cloud(CLOUD_COUNT, noise=0.0)[0])

@@ -36,6 +36,7 @@ __all__ = [
     "load_cloud",
     "load_grid",
     "load_rays",
+    "load_shown",
     "may_write",
     "refuse_unused",
     "require_kind",
@@ -219,6 +220,24 @@ def load_rays(path: Path, columns: str | None = None) -> "Rays":
 
 def _split(columns: str | None) -> list[str] | None:
     return None if columns is None else next(csv.reader([columns], skipinitialspace=True))
+
+
+def load_shown(
+    path: Path, kind: Kind, grid: str | None, finite_only: bool, columns: str | None, up: str | None
+) -> tuple[Any, str]:
+    """What a file of a kind holds, for a picture, and the axis that points up there: ``up``, if that is given."""
+    from geokit.render._camera import up_of, up_of_points
+
+    usual = FORMATS[extension(path)].up
+    if kind == "volume":
+        return load_grid(path, grid, as_floats=True), up or usual
+    if kind == "mesh":
+        from geokit.mesh import load
+
+        mesh = load(path)
+        return mesh, up or up_of(mesh, usual)
+    cloud = load_cloud(path, finite_only, grid if extension(path) == ".vdb" else None, columns)
+    return cloud, up or up_of_points(cloud.points, usual)
 
 
 @contextlib.contextmanager

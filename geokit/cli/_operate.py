@@ -51,27 +51,22 @@ def combine(name: str, files: tuple[Path, ...], smooth: float, common: Common) -
     """
     if len(files) < 3:
         raise CycloptsError(msg=f"{name}: {len(files)} files given; name at least two to read and then one to write")
-    _run(name, files[:-1], files[-1], common, smooth=smooth)
+    apply(name, files[:-1], files[-1], common, smooth=smooth)
 
 
 def apply(
-    name: str, source: Path, target: Path, common: Common, *arguments: Any, within: Any = None, **options: Any
-) -> None:
-    """Run an operation on one file, or on what it has ``within`` a box [world], and write the result to another."""
-    _run(name, (source,), target, common, *arguments, within=within, **options)
-
-
-def _run(
     name: str,
-    sources: tuple[Path, ...],
+    source: Path | tuple[Path, ...],
     target: Path,
     common: Common,
     *arguments: Any,
     within: Any = None,
     **options: Any,
 ) -> None:
+    """Run an operation on one file or several, or on what they have ``within`` a box [world], and write the result."""
     from geokit.volume import save
 
+    sources = (source,) if isinstance(source, Path) else source
     for source in sources:
         require_kind(source, "volume")
     if kind_of_output(target) != "volume":

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -187,83 +188,33 @@ class _Job:
         """A step of the work, which is shown unless the job is quiet."""
         return step(what, quiet=self.quiet)
 
+    @contextmanager
+    def streaming(self, what: str) -> Iterator[tuple[Any, dict[str, Any]]]:
+        """A step, and where and within which memory it streams."""
+        from geokit.core.content_limit import default_limit
+        from geokit.distributed._cluster import connected
+
+        scheduler = self.options["scheduler"]
+        with self.step(what) as shown, connected(scheduler) if scheduler else nullcontext() as executor:
+            limits = {"memory_limit": default_limit(), "executor": executor}
+            yield shown, {**limits, "device": self.device, "progress": shown.progress}
+
     def load_cloud(self) -> PointCloud:
         """The source as points."""
         return load_cloud(self.source, self.finite_only, self.options["grid"], self.options["columns"])
 
 
 def _converted(job: _Job, *, force: bool) -> dict[str, Any]:
-    source, target, options = job.source, job.target, job.options
     kinds = _kinds(job)
     _refuse_unused(kinds, job)
-    may_write(target, _CONTENTS.get(kinds[1]), force=force)
-    storage = Storage.of(options["codec"], options["tolerance"])
-    if kinds == ("mesh", "mesh"):
-        summary = _mesh_to_mesh(job)
-    elif kinds == ("mesh", "volume"):
-        summary = _streamed(job) if options["stream"] else _mesh_to_volume(job, storage)
-    elif kinds == ("volume", "volume"):
-        summary = _volume_to_volume(job, storage)
-    elif kinds == ("volume", "mesh"):
-        summary = _volume_to_mesh(job)
-    elif kinds == ("volume", "array"):
-        summary = _volume_to_array(job)
-    elif kinds == ("mesh", "cloud"):
-        with job.step(f"converting {source}"):
-            summary = mesh_to_cloud(source, target, options["count"], options["radius"])
-    elif kinds in (("cloud", "volume"), ("cloud", "mesh")):
-        how = {"device": job.device, **{name: options[name] for name in ("radius", "voxel_size")}}
-        with job.step(f"converting {source}") as converting:
-            cloud = job.load_cloud()
-            if kinds[1] == "volume":
-                how["half_width"] = options["half_width"]
-                summary = cloud_to_volume(cloud, target, how, storage, quiet=job.quiet)
-            else:
-                how |= {"method": options["method"], "tolerance": options["tolerance"]}
-                how |= {"progress": converting.progress}
-                summary = cloud_to_mesh(cloud, target, how, quiet=job.quiet)
-    else:
-        summary = _streamed_cloud(job) if options["stream"] else _cloud_to_cloud(job)
-    return {"source": str(source), "target": str(target), **summary, "byte_count": size_of(target)}
+    may_write(job.target, _CONTENTS.get(kinds[1]), force=force)
+    summary = _WORK[kinds][0](job, Storage.of(job.options["codec"], job.options["tolerance"]))
+    return {"source": str(job.source), "target": str(job.target), **summary, "byte_count": size_of(job.target)}
 
 
 # What the kinds of targets are in the table of formats. An array goes to .npz alone.
 _CONTENTS: dict[str, Content] = {"mesh": "mesh", "volume": "volume", "cloud": "points"}
 UNIT_OPTIONS = ("unit", "up", "from_unit", "from_up")
-_USES = {
-    ("mesh", "mesh"): ("tolerance", *UNIT_OPTIONS),
-    ("mesh", "volume"): (
-        "voxel_size",
-        "half_width",
-        "sign",
-        "thickness",
-        "interior",
-        "method",
-        "codec",
-        "tolerance",
-        "within",
-        "order",
-        "stream",
-        "scheduler",
-        *UNIT_OPTIONS,
-    ),
-    ("volume", "volume"): ("grid", "codec", "tolerance", "background", "background_tolerance", "grid_type"),
-    ("volume", "mesh"): (
-        "isovalue",
-        "label",
-        "adaptivity",
-        "method",
-        "grid",
-        "tolerance",
-        "background",
-        "background_tolerance",
-    ),
-    ("volume", "array"): ("grid",),
-    ("cloud", "cloud"): ("grid", "columns", "stream", "voxel_size", "normals", "density", "scheduler"),
-    ("cloud", "volume"): ("radius", "voxel_size", "half_width", "codec", "tolerance", "grid", "columns"),
-    ("cloud", "mesh"): ("radius", "voxel_size", "method", "tolerance", "grid", "columns"),
-    ("mesh", "cloud"): ("count", "radius"),
-}
 
 
 def _kinds(job: _Job) -> tuple[str, str]:
@@ -291,10 +242,10 @@ def _kinds(job: _Job) -> tuple[str, str]:
 def _refuse_unused(kinds: tuple[str, str], job: _Job) -> None:
     """Raise an error for options that have no effect on this conversion."""
     options = job.options
-    if kinds not in _USES:
+    if kinds not in _WORK:
         raise InputError(f"{job.target}: a {kinds[0]} cannot be converted into a {kinds[1]}; choose another format")
     for name, value in options.items():
-        if name not in ("kind", *_USES[kinds]):
+        if name not in ("kind", *_WORK[kinds][1]):
             refuse_unused(f"on {kinds[0]} to {kinds[1]}", **{name: value})
         if name == "scheduler" and value is not None and not options["stream"]:
             raise InputError("--scheduler: goes with --stream; give it too")
@@ -317,7 +268,7 @@ def _load_mesh(job: _Job) -> TriangleMesh:
         return convert_unit(load(job.source), unit, up_axis=up, from_unit=from_unit, from_up_axis=from_up)
 
 
-def _mesh_to_mesh(job: _Job) -> dict[str, Any]:
+def _mesh_to_mesh(job: _Job, _: Storage) -> dict[str, Any]:
     from geokit.mesh import save, simplify
 
     achieved: dict[str, Any] = {}
@@ -332,6 +283,8 @@ def _mesh_to_mesh(job: _Job) -> dict[str, Any]:
 
 
 def _mesh_to_volume(job: _Job, storage: Storage) -> dict[str, Any]:
+    if job.options["stream"]:
+        return _streamed(job)
     from geokit.volume import from_mesh, save
 
     voxel_size = job.options["voxel_size"]
@@ -369,32 +322,20 @@ def _mesh_to_volume(job: _Job, storage: Storage) -> dict[str, Any]:
 
 
 def _streamed(job: _Job) -> dict[str, Any]:
-    from geokit.core.content_limit import default_limit
-    from geokit.distributed._cluster import connected
     from geokit.volume import from_mesh_file
 
     unused = ("interior", "method", "codec", "tolerance", "within", "order", *UNIT_OPTIONS)
     refuse_unused("with --stream", **job.given(*unused))
     if job.options["voxel_size"] is None:
         raise InputError("--voxel-size: is missing; --stream does not choose one")
-    scheduler = job.options["scheduler"]
-    with job.step(f"voxelising {job.source}") as voxelising, ExitStack() as stack:
-        info = from_mesh_file(
-            job.source,
-            job.target,
-            **job.given("voxel_size", "half_width", "sign", "thickness"),
-            memory_limit=default_limit(),
-            device=job.device,
-            executor=stack.enter_context(connected(scheduler)) if scheduler else None,
-            progress=voxelising.progress,
-        )
+    how = job.given("voxel_size", "half_width", "sign", "thickness")
+    with job.streaming(f"voxelising {job.source}") as (voxelising, limits):
+        info = from_mesh_file(job.source, job.target, **how, **limits)
         voxelising.result = f"{info.active_voxel_count} active voxels"
     return {"voxel_size": float(info.voxel_size[0]), "active_voxels": info.active_voxel_count}
 
 
 def _streamed_cloud(job: _Job) -> dict[str, Any]:
-    from geokit.core.content_limit import default_limit
-    from geokit.distributed._cluster import connected
     from geokit.points import process_file
 
     options = job.options
@@ -404,18 +345,8 @@ def _streamed_cloud(job: _Job) -> dict[str, Any]:
         "normals": None if options["normals"] is None else {"k": options["normals"]},
         "density": None if options["density"] is None else {"radius": options["density"]},
     }
-    scheduler = options["scheduler"]
-    with job.step(f"converting {job.source}") as converting, ExitStack() as stack:
-        found = process_file(
-            job.source,
-            job.target,
-            **how,
-            finite_only=job.finite_only,
-            memory_limit=default_limit(),
-            device=job.device,
-            executor=stack.enter_context(connected(scheduler)) if scheduler else None,
-            progress=converting.progress,
-        )
+    with job.streaming(f"converting {job.source}") as (_, limits):
+        found = process_file(job.source, job.target, **how, finite_only=job.finite_only, **limits)
     if found.left_out_count and not job.quiet:
         note(f"{job.source}: {found.left_out_count} of its {found.read_count} points are not finite and were left out")
     return {"points": found.written_count}
@@ -439,7 +370,7 @@ def _volume_to_volume(job: _Job, storage: Storage) -> dict[str, Any]:
     }
 
 
-def _volume_to_mesh(job: _Job) -> dict[str, Any]:
+def _volume_to_mesh(job: _Job, _: Storage) -> dict[str, Any]:
     from geokit.mesh import from_volume, from_volume_with_deviation, save
 
     source, label, how = job.source, job.options["label"], job.given("isovalue", "method", "tolerance")
@@ -492,7 +423,7 @@ def _mask(volume: SparseVolume, label: int, source: Path) -> SparseVolume:
     return with_more(mask, info.metadata)
 
 
-def _volume_to_array(job: _Job) -> dict[str, Any]:
+def _volume_to_array(job: _Job, _: Storage) -> dict[str, Any]:
     with job.step(f"converting {job.source}"):
         volume = load_grid(job.source, job.options["grid"])
         found = volume.to_dense(device=job.device)
@@ -502,8 +433,56 @@ def _volume_to_array(job: _Job) -> dict[str, Any]:
     return {"grid": volume.info.name, "shape": shape, "dtype": str(found.values.dtype)}
 
 
-def _cloud_to_cloud(job: _Job) -> dict[str, Any]:
+def _cloud_to_cloud(job: _Job, _: Storage) -> dict[str, Any]:
+    if job.options["stream"]:
+        return _streamed_cloud(job)
     with job.step(f"converting {job.source}"):
         cloud = job.load_cloud()
         save_cloud(job.target, cloud)
     return {"points": len(cloud.points)}
+
+
+def _cloud_to_volume(job: _Job, storage: Storage) -> dict[str, Any]:
+    with job.step(f"converting {job.source}"):
+        how = {"device": job.device, **{name: job.options[name] for name in ("radius", "voxel_size", "half_width")}}
+        return cloud_to_volume(job.load_cloud(), job.target, how, storage, quiet=job.quiet)
+
+
+def _cloud_to_mesh(job: _Job, _: Storage) -> dict[str, Any]:
+    with job.step(f"converting {job.source}") as converting:
+        how = {name: job.options[name] for name in ("radius", "voxel_size", "method", "tolerance")}
+        how |= {"device": job.device, "progress": converting.progress}
+        return cloud_to_mesh(job.load_cloud(), job.target, how, quiet=job.quiet)
+
+
+def _mesh_to_cloud(job: _Job, _: Storage) -> dict[str, Any]:
+    with job.step(f"converting {job.source}"):
+        return mesh_to_cloud(job.source, job.target, job.options["count"], job.options["radius"])
+
+
+_OF_DENSE = ("background", "background_tolerance")
+_OF_BALLS = ("radius", "voxel_size", "tolerance", "grid", "columns")
+# What does each conversion, and the options that it takes.
+_WORK: dict[tuple[str, str], tuple[Callable[[_Job, Storage], dict[str, Any]], tuple[str, ...]]] = {
+    ("mesh", "mesh"): (_mesh_to_mesh, ("tolerance", *UNIT_OPTIONS)),
+    ("mesh", "volume"): (
+        _mesh_to_volume,
+        (
+            *("voxel_size", "half_width", "sign", "thickness", "interior", "method", "codec", "tolerance"),
+            *("within", "order", "stream", "scheduler", *UNIT_OPTIONS),
+        ),
+    ),
+    ("volume", "volume"): (_volume_to_volume, ("grid", "codec", "tolerance", "grid_type", *_OF_DENSE)),
+    ("volume", "mesh"): (
+        _volume_to_mesh,
+        ("isovalue", "label", "adaptivity", "method", "grid", "tolerance", *_OF_DENSE),
+    ),
+    ("volume", "array"): (_volume_to_array, ("grid",)),
+    ("cloud", "cloud"): (
+        _cloud_to_cloud,
+        ("grid", "columns", "stream", "voxel_size", "normals", "density", "scheduler"),
+    ),
+    ("cloud", "volume"): (_cloud_to_volume, ("half_width", "codec", *_OF_BALLS)),
+    ("cloud", "mesh"): (_cloud_to_mesh, ("method", *_OF_BALLS)),
+    ("mesh", "cloud"): (_mesh_to_cloud, ("count", "radius")),
+}

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-from cyclopts import Parameter
-
-from geokit.cli._kinds import Device, require_kind
+from geokit.cli._kinds import Device, Flag, require_kind
 from geokit.cli._program.console import announce_compiling, note, print_json, print_table, step
 
 __all__ = ["plan"]
@@ -28,7 +26,7 @@ def plan(
     thickness: float | None = None,
     interior: str = "remove",
     device: Device = None,
-    json: Annotated[bool, Parameter(negative="")] = False,
+    json: Flag = False,
 ) -> None:
     """List the distance fields of a mesh that keep a tolerance, with the memory, time and error to expect.
 

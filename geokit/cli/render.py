@@ -8,11 +8,10 @@ from typing import Annotated, Any, Literal
 
 from cyclopts import CycloptsError, Parameter
 
-from geokit.cli._kinds import FiniteOnly, Flag, UpAxis, kind_of_input, load_cloud, load_grid, may_write, refuse_unused
+from geokit.cli._kinds import Columns, FiniteOnly, Flag, UpAxis, kind_of_input, load_shown, may_write, refuse_unused
 from geokit.cli._program.console import announce_compiling, say, step
 from geokit.core.files import extension
 from geokit.errors import InputError
-from geokit.formats.table import FORMATS
 
 __all__ = ["render"]
 
@@ -48,7 +47,7 @@ def render(
     look: Literal["values", "smoke"] = "values",
     transparent: Flag = False,
     finite_only: FiniteOnly = True,
-    columns: str | None = None,
+    columns: Columns = None,
     force: Flag = False,
 ) -> None:
     """Draw a mesh, a volume or a point cloud into a PNG file, off-screen.
@@ -73,8 +72,6 @@ def render(
         shadow: Draw a soft shadow on the ground below a mesh, a cloud or a volume's surface.
         look: How fog is drawn: by the color map, or as white smoke, lit, in front of the dark.
         transparent: Leave the background transparent.
-        columns: From a table of points (.csv .xyz .txt): names of the columns of x, y and z, as in east,north,up; by
-            default their names tell.
         force: Replace an existing output.
     """
     kind = kind_of_input(source, grid)
@@ -93,30 +90,20 @@ def render(
     checked_target(output, *((FLAT,) if slice is not None else ()))
     may_write(output, force=force)
     announce_compiling()
-    usual = FORMATS[extension(source)].up
-    scene: dict[str, Any] = {"size": pixels, "up": up or usual, "transparent": transparent, **camera}
     from geokit import render as drawing
-    from geokit.render._camera import up_of, up_of_points
 
     with step(f"drawing {source}"):
-        if kind == "volume":
-            field = load_grid(source, grid, as_floats=True)
-            if slice is not None:
-                drawing.slice(output, field, axis=slice, size=pixels)
-            else:
-                drawing.figure(output, volume=field, color=color, isovalue=isovalue, **scene)
+        held, axis = load_shown(source, kind, grid, finite_only, columns, up)
+        scene: dict[str, Any] = {"size": pixels, "up": axis, "transparent": transparent, **camera}
+        if slice is not None:
+            drawing.slice(output, held, axis=slice, size=pixels)
+        elif kind == "volume":
+            drawing.figure(output, volume=held, color=color, isovalue=isovalue, **scene)
         elif kind == "mesh":
-            from geokit.mesh import load
-
-            mesh = load(source)
-            scene["up"] = up or up_of(mesh, usual)
-            drawing.figure(output, mesh=mesh, **_array_or_color(mesh, mesh.vertices, color), **scene)
+            drawing.figure(output, mesh=held, **_array_or_color(held, held.vertices, color), **scene)
         else:
-            cloud = load_cloud(source, finite_only, grid, columns)
-            own = color in ("rgb", "rgba") and color in cloud.data
-            chosen = _array_or_color(cloud, cloud.points, None if own else color)
-            scene["up"] = up or up_of_points(cloud.points, usual)
-            drawing.figure(output, points=cloud, **chosen, **scene)
+            own = color in ("rgb", "rgba") and color in held.data
+            drawing.figure(output, points=held, **_array_or_color(held, held.points, None if own else color), **scene)
     say(f"{output}: {pixels[0]} x {pixels[1]} pixels, {output.stat().st_size} bytes")
 
 

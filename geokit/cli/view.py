@@ -7,10 +7,9 @@ from typing import Annotated, Any
 
 from cyclopts import CycloptsError, Parameter
 
-from geokit.cli._kinds import FiniteOnly, Flag, UpAxis, kind_of_input, load_cloud, load_grid, may_write, refuse_unused
+from geokit.cli._kinds import Columns, FiniteOnly, Flag, UpAxis, kind_of_input, load_shown, may_write, refuse_unused
 from geokit.cli._program.console import announce_compiling, note, say, step
-from geokit.core.files import extension, require_extension
-from geokit.formats.table import FORMATS
+from geokit.core.files import require_extension
 
 __all__ = ["view"]
 
@@ -25,7 +24,7 @@ def view(
     title: str = "",
     device: str | None = None,
     finite_only: FiniteOnly = True,
-    columns: str | None = None,
+    columns: Columns = None,
     force: Flag = False,
 ) -> None:
     """Show meshes, volumes and point clouds in a browser: one HTML file, which needs no network.
@@ -41,8 +40,6 @@ def view(
         max_voxels: Most voxels of a volume's box; larger ones are shown coarser. By default 16,777,216.
         title: Title of the page; by default the names of the files.
         device: Where volumes are read: cpu, cuda:0, ...
-        columns: From a table of points (.csv .xyz .txt): names of the columns of x, y and z, as in east,north,up; by
-            default their names tell.
         force: Replace an existing output.
     """
     if not sources:
@@ -55,30 +52,15 @@ def view(
         refuse_unused("without a table of points", columns=columns)
     announce_compiling()
     from geokit.render import _view as drawing
-    from geokit.render._camera import up_of, up_of_points
-
-    def read(source: Path, kind: str) -> Any:
-        if kind == "volume":
-            return load_grid(source, grid, as_floats=True)
-        if kind == "cloud":
-            return load_cloud(source, finite_only, grid if extension(source) == ".vdb" else None, columns)
-        from geokit.mesh import load
-
-        return load(source)
 
     options: dict[str, Any] = {"title": title, "device": device}
     options |= {} if colormap is None else {"colormap": colormap}
     options |= {} if max_voxels is None else {"max_voxels": max_voxels}
     with step("making the page"):
-        things = [read(source, kind) for source, kind in zip(sources, kinds, strict=True)]
-        usual = FORMATS[extension(sources[0])].up
-        options["up"] = up or usual
-        if up is None and kinds[0] == "mesh":
-            options["up"] = up_of(things[0], usual)
-        elif up is None and kinds[0] == "cloud":
-            options["up"] = up_of_points(things[0].points, usual)
+        read = [load_shown(*pair, grid, finite_only, columns, up) for pair in zip(sources, kinds, strict=True)]
+        options["up"] = read[0][1]
         options["names"] = [source.name.encode("utf-8", "replace").decode() for source in sources]
-        page = drawing.view(*things, path=output or drawing.temporary_path(), **options)
+        page = drawing.view(*(thing for thing, _ in read), path=output or drawing.temporary_path(), **options)
     say(f"{page.path}: {len(page.html)} bytes")
     if output is None and not drawing.open_in_browser(page):
         note("no browser opens here; copy the file to where there is one")

@@ -14,15 +14,10 @@ from geokit.errors import DeviceMemoryError
 if TYPE_CHECKING:
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["MOST_BYTES", "dense_of", "is_level_set", "require_fits"]
+__all__ = ["MOST_BYTES", "dense_of", "require_fits"]
 
 # Largest array that a grid becomes unless asked [bytes]: sparse volumes may span any box.
 MOST_BYTES = 4 << 30
-
-
-def is_level_set(volume: SparseVolume) -> bool:
-    """Whether the grid has a surface at 0."""
-    return volume.info.grid_class == "level set"
 
 
 def require_fits(

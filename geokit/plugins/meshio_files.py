@@ -15,7 +15,7 @@ import numpy as np
 from geokit.core.memory.row_products import row_product
 from geokit.core.require import require_choice
 from geokit.errors import DeviceMemoryError
-from geokit.plugins._grids import MOST_BYTES, dense_of, is_level_set
+from geokit.plugins._grids import MOST_BYTES, dense_of
 
 __all__ = ["FORMATS", "read", "write"]
 
@@ -52,7 +52,7 @@ def read(
 
     require_choice(kind, "kind", ("auto", "voxels", "surface"))
     volume = load(path, grid=grid)
-    if kind == "surface" or (kind == "auto" and is_level_set(volume)):
+    if kind == "surface" or (kind == "auto" and volume.info.grid_class == "level set"):
         return to_meshio(from_volume(volume))
     import meshio
 

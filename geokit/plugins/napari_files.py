@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from geokit.core.files import extension
 from geokit.formats.table import SPARSE, extensions
-from geokit.plugins._grids import MOST_BYTES, dense_of, is_level_set
+from geokit.plugins._grids import MOST_BYTES, dense_of
 
 __all__ = ["mesh_reader", "read_meshes", "read_volumes", "volume_reader"]
 
@@ -55,7 +55,7 @@ def read_volumes(path: Paths) -> list[Layer]:
     for one in _listed(path):
         for name, volume in load_all(one).items():
             name = name or _stem(one)
-            if is_level_set(volume):
+            if volume.info.grid_class == "level set":
                 layers.append(_surface(from_volume(volume), name))
             else:
                 layers += _images(volume, one, name)
@@ -84,9 +84,8 @@ def _surface(mesh: Any, name: str) -> Layer:
 
 def _images(volume: Any, path: str | os.PathLike[str], name: str) -> list[Layer]:
     dense = dense_of(volume, path, MOST_BYTES)
-    transform = dense.transform.copy()
-    transform[:3, 3] += transform[:3, :3] @ dense.origin
-    placed = {"metadata": {"grid_class": volume.info.grid_class}, **_place(transform[REVERSED][:, REVERSED])}
+    place = _place(dense.array_transform[REVERSED][:, REVERSED])
+    placed = {"metadata": {"grid_class": volume.info.grid_class}, **place}
     values = dense.values.transpose(2, 1, 0, *range(3, dense.values.ndim))
     if values.ndim == 3 or volume.info.grid_type in COLORS:
         return [(values, {"name": name, **placed, **({"rgb": True} if values.ndim == 4 else {})}, "image")]

@@ -7,7 +7,7 @@ from typing import Any
 
 from geokit.core.require import require_choice, require_count
 from geokit.errors import InputError
-from geokit.plugins._grids import MOST_BYTES, is_level_set, require_fits
+from geokit.plugins._grids import MOST_BYTES, require_fits
 
 __all__ = ["read", "write"]
 
@@ -38,7 +38,7 @@ def read(
     require_choice(kind, "kind", ("auto", "image", "surface"))
     require_count(most_bytes, "most_bytes", 1)
     volume = load(path, grid=grid)
-    if kind == "surface" or (kind == "auto" and is_level_set(volume)):
+    if kind == "surface" or (kind == "auto" and volume.info.grid_class == "level set"):
         return mesh_to_pyvista(from_volume(volume))
     require_fits(volume, path, most_bytes, remedy="read a part with geokit.volume.to_pyvista(volume, bounds=...)")
     return to_pyvista(volume)

@@ -11,7 +11,7 @@ from typing import Any
 
 from geokit.core.require import require_number
 from geokit.errors import InputError
-from geokit.plugins._grids import MOST_BYTES, dense_of, is_level_set
+from geokit.plugins._grids import MOST_BYTES, dense_of
 
 __all__ = ["MESH_TYPES", "VOXEL_TYPES", "load_mesh", "load_voxels"]
 
@@ -48,7 +48,7 @@ def load_mesh(
     from geokit.mesh.volumes.from_volume import from_volume
 
     volume, path = _read(file_obj, file_type, grid)
-    if isovalue is None and not is_level_set(volume):
+    if isovalue is None and volume.info.grid_class != "level set":
         raise InputError(
             f"{path}: grid {volume.info.name!r} is no level set; give isovalue=, or read its voxels with "
             f"file_type='{file_type}_voxels'"
@@ -92,10 +92,8 @@ def load_voxels(
     dense = dense_of(volume, path, most_bytes)
     if dense.values.ndim != 3:
         raise InputError(f"{path}: grid {volume.info.name!r} holds vectors, which fill nothing; choose scalars")
-    filled = dense.values <= isovalue if is_level_set(volume) else dense.values > isovalue
-    transform = dense.transform.copy()
-    transform[:3, 3] += transform[:3, :3] @ dense.origin
-    return VoxelGrid(filled, transform, metadata={"name": volume.info.name})
+    filled = dense.values <= isovalue if volume.info.grid_class == "level set" else dense.values > isovalue
+    return VoxelGrid(filled, dense.array_transform, metadata={"name": volume.info.name})
 
 
 def _read(file_obj: Any, kind: str, grid: str | None) -> tuple[Any, str | os.PathLike[str]]:

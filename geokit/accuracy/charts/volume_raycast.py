@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from geokit.accuracy.charts.volume_setup import SEED, coded, known_codecs
 from geokit.accuracy.reference.volume import first_level
 from geokit.accuracy.trials.model import Chart, Judgement, Trial
-from geokit.accuracy.trials.running import failed, judged, on_host, send, setting_of
+from geokit.accuracy.trials.running import failed, judged, on_host, send, setting_of, unit
 
 if TYPE_CHECKING:
     from geokit.accuracy.charts.volume_points import VolumePoints
@@ -74,11 +74,8 @@ def _rays(field: VolumePoints) -> _Rays:
     lower, upper = _box(field)
     corners = field.voxels.to_world(np.array([np.where(up, upper, lower) for up in np.ndindex(2, 2, 2)]))
     center = corners.mean(axis=0)
-    start = rng.normal(size=(count, 3))
-    start /= np.linalg.norm(start, axis=1, keepdims=True)
-    start = center + 1.5 * np.linalg.norm(corners - center, axis=1).max() * start
-    toward = aims - start
-    return _Rays(start, toward / np.linalg.norm(toward, axis=1, keepdims=True))
+    start = center + 1.5 * np.linalg.norm(corners - center, axis=1).max() * unit(rng.normal(size=(count, 3)))
+    return _Rays(start, unit(aims - start))
 
 
 def _box(field: VolumePoints) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -234,17 +234,14 @@ def borders_along(start: Floats, toward: Floats, first: float, last: float) -> F
     return t[(t >= first) & (t <= last)]
 
 
-def first_level(
-    at: Reader, start: Floats, toward: Floats, isovalue: float, first: float, last: float, fine: int = 16
-) -> float:
+def first_level(at: Reader, start: Floats, toward: Floats, isovalue: float, first: float, last: float) -> float:
     """First t at which the trilinear interpolant along a ray has crossed the isovalue; inf for none.
 
-    Every cell is cut into ``fine`` pieces, and a piece with a crossing is cut into 32 pieces ten times. Levels that are
+    Every cell is cut into 16 pieces, and a piece with a crossing is cut into 32 pieces ten times. Levels that are
     touched, or crossed twice within a piece, are missed.
     """
     borders = borders_along(start, toward, first, last)
-    share = np.arange(fine) / fine
-    t = np.append((borders[:-1, None] + np.diff(borders)[:, None] * share).ravel(), borders[-1])
+    t = np.append((borders[:-1, None] + np.diff(borders)[:, None] * np.arange(16) / 16).ravel(), borders[-1])
     for _ in range(11):
         over = interpolant_along(at, start, toward, t) > isovalue
         change = np.flatnonzero(over[:-1] != over[1:])

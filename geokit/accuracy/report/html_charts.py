@@ -60,7 +60,7 @@ def svg(plot: Plot, title: str, answers: str) -> str:
 def legend(plot: Plot) -> str:
     """The meaning of colors and lines, as a list."""
     items = [
-        f'<li>{_swatch(number, ring=False, hollow=False)}{escape(name)}</li>'
+        f'<li>{_swatch(number, hollow=False)}{escape(name)}</li>'
         for number, name in enumerate(plot.methods)
     ]  # fmt: skip
     for number, device in enumerate(plot.devices):
@@ -70,7 +70,7 @@ def legend(plot: Plot) -> str:
             f'<li><svg class="swatch line" viewBox="0 0 30 16">{line}</svg>front on {escape(device)}{ring}</li>'
         )
     if any(mark.hollow for mark in plot.marks):
-        items.append(f"<li>{_swatch(0, ring=False, hollow=True)}hollow: some answers are wrong</li>")
+        items.append(f"<li>{_swatch(0, hollow=True)}hollow: some answers are wrong</li>")
     return f'<ul class="legend">{"".join(items)}</ul>'
 
 
@@ -126,5 +126,5 @@ def _shape(method: int, x: float, y: float, *, ring: bool, hollow: bool) -> str:
     return f'<polygon points="{corners}" {look}/>'
 
 
-def _swatch(method: int, *, ring: bool, hollow: bool) -> str:
-    return f'<svg class="swatch" viewBox="0 0 16 16">{_shape(method, 8.0, 8.0, ring=ring, hollow=hollow)}</svg>'
+def _swatch(method: int, *, hollow: bool) -> str:
+    return f'<svg class="swatch" viewBox="0 0 16 16">{_shape(method, 8.0, 8.0, ring=False, hollow=hollow)}</svg>'

@@ -15,7 +15,7 @@ from geokit.core.files import atomic_path, require_file
 from geokit.core.require import require_items, require_path
 from geokit.errors import FileFormatError
 
-__all__ = ["COLUMNS", "cells_of", "read_table", "write_table"]
+__all__ = ["COLUMNS", "cells_of", "read_table", "write_rows", "write_table"]
 
 # The attributes of Measurement in order; they are documented there.
 COLUMNS = tuple(field.name for field in dataclasses.fields(Measurement) if field.name != "judgement")
@@ -35,11 +35,16 @@ def write_table(rows: Iterable[Measurement], path: str | os.PathLike[str]) -> Pa
         FileAccessError: The file cannot be written.
     """
     rows = require_items(rows, "rows", Measurement)
+    write_rows(path, COLUMNS, map(cells_of, rows))
+    return require_path(path)
+
+
+def write_rows(path: str | os.PathLike[str], columns: Iterable[str], rows: Iterable[Iterable[Any]]) -> None:
+    """Write names of columns and rows as CSV."""
     with atomic_path(path) as part, open(part, "w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        writer.writerows(cells_of(row) for row in rows)
-    return require_path(path)
+        writer.writerow(columns)
+        writer.writerows(rows)
 
 
 def cells_of(row: Measurement) -> list[str]:

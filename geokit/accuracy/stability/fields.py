@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.accuracy.trials.model import Judgement
+from geokit.accuracy.trials.running import unit
 
 if TYPE_CHECKING:
     from geokit.volume.model.sparse_volume import SparseVolume
@@ -27,9 +28,7 @@ MARGIN = 6
 
 def unit_vectors(count: int, seed: int | np.random.Generator) -> Floats:
     """Random unit vectors, uniform on the sphere, shape (count, 3)."""
-    vectors = np.random.default_rng(seed).normal(size=(count, 3))
-    unit: Floats = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
-    return unit
+    return unit(np.random.default_rng(seed).normal(size=(count, 3)))
 
 
 def joined(ask: Callable[..., Iterator[Judgement]]) -> Callable[..., Judgement]:

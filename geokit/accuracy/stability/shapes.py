@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.mesh import _primitives
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = [
@@ -14,7 +15,6 @@ __all__ = [
     "icosphere",
     "join",
     "moved",
-    "on_torus",
     "rotated",
     "rotation",
     "scaled",
@@ -26,18 +26,13 @@ __all__ = [
     "without_faces",
 ]
 
-# Vertex 4 z + 2 y + x of a box is at the lower (0) or upper (1) end of each axis; two outward triangles a side.
-_BOX_SIDES = ((0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5))
-
 
 def box(
     lower: tuple[float, float, float] = (-0.5, -0.5, -0.5), upper: tuple[float, float, float] = (0.5, 0.5, 0.5)
 ) -> TriangleMesh:
     """A closed box of 12 triangles between two corners [world]."""
     ends = np.array([lower, upper], np.float64)
-    vertices = np.array([[ends[i & 1, 0], ends[i >> 1 & 1, 1], ends[i >> 2, 2]] for i in range(8)])
-    faces = [[side[0], *side[k : k + 2]] for side in _BOX_SIDES for k in (1, 2)]
-    return TriangleMesh(vertices, faces, name="box")
+    return _primitives.box(ends[1] - ends[0], center=ends.mean(axis=0))
 
 
 def thin_plate(thickness: float) -> TriangleMesh:
@@ -78,18 +73,7 @@ def _halved_edges(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> tu
 
 def torus(around: int = 48, across: int = 24, major: float = 1.0, minor: float = 0.35) -> TriangleMesh:
     """A closed torus about the z axis of ``2 * around * across`` triangles, with vertices on the torus [world]."""
-    i, j = (grid.ravel() for grid in np.meshgrid(np.arange(around), np.arange(across), indexing="ij"))
-    vertices = on_torus(2.0 * np.pi * i / around, 2.0 * np.pi * j / across, major, minor)
-    further, beside = (i + 1) % around * across, (j + 1) % across
-    corner, ahead, across_both, side = i * across + j, further + j, further + beside, i * across + beside
-    faces = np.concatenate([np.stack([corner, ahead, across_both], axis=1), np.stack([corner, across_both, side], 1)])
-    return TriangleMesh(vertices, faces, name="torus")
-
-
-def on_torus(a: NDArray[np.float64], b: NDArray[np.float64], major: float, minor: float) -> NDArray[np.float64]:
-    """Points (N, 3) of a torus at angles about the z axis and around its tube [world]."""
-    distance = major + minor * np.cos(b)
-    return np.stack([distance * np.cos(a), distance * np.sin(a), minor * np.sin(b)], axis=1)
+    return _primitives.torus(major, minor, segments=around, tube_segments=across)
 
 
 def sliver_fan(count: int, aspect: float, slant: float = 0.0) -> TriangleMesh:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import operator
-import warnings
 from collections.abc import Iterator
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -15,6 +14,7 @@ from geokit.accuracy.reference import mesh as reference
 from geokit.accuracy.stability import shapes
 from geokit.accuracy.stability.fields import MIDDLE, ball, joined, level_set, unit_vectors
 from geokit.accuracy.trials.model import Judgement, Sweeps
+from geokit.accuracy.trials.running import without_warnings
 
 if TYPE_CHECKING:
     from geokit.mesh.model.triangle_mesh import TriangleMesh
@@ -189,10 +189,9 @@ def _wall(thickness: float, seed: int, number: int) -> tuple[TriangleMesh, Float
 def _level_set_of(mesh: TriangleMesh, device: Any, voxel_size: float = 1.0) -> SparseVolume:
     from geokit.volume.distance_fields.from_mesh import from_mesh
 
-    with warnings.catch_warnings():
-        # Warnings about lost components are expected: the sweep measures their loss.
-        warnings.simplefilter("ignore", UserWarning)
-        return from_mesh(mesh, voxel_size, device=device)
+    # Warnings about lost components are expected: the sweep measures their loss.
+    found: SparseVolume = without_warnings(lambda: from_mesh(mesh, voxel_size, device=device))
+    return found
 
 
 def _distances_from(mesh: TriangleMesh, points: Floats) -> Floats:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import csv
-import io
+import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit import render
+from geokit.accuracy.report.table import write_rows
 from geokit.cli._demo.input import Camera
-from geokit.cli._demo.log import DemoLog, write_text
+from geokit.cli._demo.log import DemoLog
 from geokit.cli._demo.steps import AccuracyPoint, Neighborhood, Projection
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 
@@ -78,10 +78,7 @@ def draw_figures(
 def _draw_rays(path: Path, mesh: TriangleMesh, camera: Camera, hits: "RayHits") -> None:
     shape = (camera.height, camera.width)
     depth = np.where(np.isfinite(hits.t), hits.t, np.nan).reshape(shape)
-    a, b, c = (mesh.vertices[mesh.faces[hits.triangle_id, corner]] for corner in range(3))
-    normal = np.cross(b - a, c - a)
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
-    colors = 0.5 + 0.5 * normal / np.where(length > 0.0, length, 1.0)
+    colors = 0.5 + 0.5 * mesh.face_normals[hits.triangle_id]
     colors[hits.triangle_id < 0] = 1.0
     panels = {"depth": depth, "normal": colors.reshape(*shape, 3)}
     render.image(path, panels, size=(1280, 480), label="distance along the ray", colormap="viridis_r")
@@ -89,13 +86,9 @@ def _draw_rays(path: Path, mesh: TriangleMesh, camera: Camera, hits: "RayHits") 
 
 def accuracy_chart(target: Path, measured: list[AccuracyPoint], exact_seconds: float, sample_count: int) -> None:
     """Write the chart, and accuracy.csv beside it with the numbers."""
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow((*AccuracyPoint.__dataclass_fields__, "samples", "exact_bvh_seconds"))
-    for point in measured:
-        values = [getattr(point, name) for name in AccuracyPoint.__dataclass_fields__]
-        writer.writerow((*values, sample_count, exact_seconds))
-    write_text(target.with_suffix(".csv"), buffer.getvalue())
+    columns = (*AccuracyPoint.__dataclass_fields__, "samples", "exact_bvh_seconds")
+    rows = [(*dataclasses.astuple(point), sample_count, exact_seconds) for point in measured]
+    write_rows(target.with_suffix(".csv"), columns, rows)
     seconds = [point.build_seconds + point.sample_seconds for point in measured]
     notes = [f"{point.voxel_size:.2g}" for point in measured]
     render.chart(

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-import csv
 import dataclasses
-import io
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from geokit.accuracy.report.table import write_rows
 from geokit.cli._program.console import note, step
 from geokit.core.files import atomic_path
 
@@ -72,19 +71,12 @@ class DemoLog:
 
     def write(self, folder: Path) -> None:
         """Write the table as summary.csv, with plain numbers, and as summary.md."""
-        buffer = io.StringIO()
-        writer = csv.writer(buffer, lineterminator="\n")
-        writer.writerow([field.name for field in dataclasses.fields(Entry)])
-        writer.writerows(dataclasses.astuple(entry) for entry in self.entries)
-        write_text(folder / "summary.csv", buffer.getvalue())
+        names = [field.name for field in dataclasses.fields(Entry)]
+        write_rows(folder / "summary.csv", names, map(dataclasses.astuple, self.entries))
         lines = ["| " + " | ".join(COLUMNS) + " |", "|---|---:|---|---:|---:|---:|---|"]
         lines += ["| " + " | ".join(entry.cells()) + " |" for entry in self.entries]
-        write_text(folder / "summary.md", "\n".join(lines) + "\n")
-
-
-def write_text(path: Path, text: str) -> None:
-    with atomic_path(path) as part:
-        part.write_text(text, encoding="utf-8")
+        with atomic_path(folder / "summary.md") as part:
+            part.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def _short(rate: float) -> str:

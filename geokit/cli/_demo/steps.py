@@ -67,11 +67,10 @@ class Projection(NamedTuple):
 
 
 class Neighborhood(NamedTuple):
-    """A point cloud (N, 3), and for each point the number of points within ``radius``, counts (N,)."""
+    """A point cloud (N, 3), and for each point the number of its neighbors, counts (N,)."""
 
     points: NDArray[np.float64]
     counts: NDArray[np.int32]
-    radius: float
 
 
 @dataclass(frozen=True)
@@ -238,9 +237,7 @@ def find_neighbors(log: DemoLog, mesh: TriangleMesh, device: Any) -> Neighborhoo
 
     random = np.random.default_rng(5)
     cloud = points_on(mesh, CLOUD_COUNT, random, by_area=False)
-    a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
-    area = 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
-    radius = float(np.sqrt(NEIGHBORS * area / (np.pi * len(cloud))))
+    radius = float(np.sqrt(NEIGHBORS * mesh.area / (np.pi * len(cloud))))
     with log.step("neighbors of a cloud", "queries") as entry:
         grid = NeighborGrid(cloud, radius, device=device)
         found = grid.radius_search(cloud)
@@ -254,7 +251,7 @@ def find_neighbors(log: DemoLog, mesh: TriangleMesh, device: Any) -> Neighborhoo
         worst = max(worst, float(np.abs(found.distance[row][order] - distances).max()) if same else float("inf"))
     entry.error = worst
     entry.reference = f"brute force of {CHECKED}: same sets, distance [world]"
-    return Neighborhood(cloud, np.diff(found.offsets).astype(np.int32), radius)
+    return Neighborhood(cloud, np.diff(found.offsets).astype(np.int32))
 
 
 def extract_surface(
@@ -315,13 +312,8 @@ def export(log: DemoLog, surface: "Surface", volume: "SparseVolume", projection:
 def _thickness(surface: "Surface") -> NDArray[np.float64]:
     """Thickness of the body at each vertex along the inward normal; NaN where the ray hits nothing."""
     mesh = surface.mesh
-    a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
-    face_normal = np.cross(b - a, c - a)
-    normal = np.zeros_like(mesh.vertices)
-    for corner in range(3):
-        np.add.at(normal, mesh.faces[:, corner], face_normal)
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
-    inward = np.where(length > 0.0, -normal / np.where(length > 0.0, length, 1.0), [[0.0, 0.0, 1.0]])
+    normals = mesh.vertex_normals
+    inward = np.where(normals.any(axis=1, keepdims=True), -normals, [[0.0, 0.0, 1.0]])
     # Start slightly inside, so that the ray does not hit the faces of its own vertex.
     start = 1e-4 * mesh.diagonal
     t = surface.raycast(mesh.vertices + start * inward, inward).t

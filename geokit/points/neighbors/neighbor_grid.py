@@ -310,8 +310,7 @@ class NeighborGrid:
         self._made_images: Images | None = None
         # With a skin, the candidates of the points, and nothing else until another search needs it.
         self._lists: VerletLists | None = None
-        farthest = max(np.abs(self._survey.lower).max(), np.abs(self._survey.upper).max())
-        self._farthest = float(farthest)
+        self._farthest = float(max(np.abs(self._survey.lower).max(), np.abs(self._survey.upper).max()))
         if cell is not None:
             _require_near(self._farthest, cell, "points")
         if cell is not None and self._skin is None:
@@ -763,7 +762,7 @@ class NeighborGrid:
             if queries is None
             else read_vectors(queries, "queries", self._device, largest=LARGEST_MEASURED, single=True)
         )
-        if max(np.abs(self._survey.lower).max(), np.abs(self._survey.upper).max()) > LARGEST_MEASURED:
+        if self._farthest > LARGEST_MEASURED:
             raise InputError(
                 f"points: they lie farther than {LARGEST_MEASURED:g} from the origin, where squares of distances leave "
                 "float64; scale them down, with the queries"
@@ -1113,9 +1112,6 @@ def _restored(
     periodic: Any = None,
     skin: float | None = None,
 ) -> NeighborGrid:
-    there: Any
-    if isinstance(device, list):
-        there = [launcher.device_or_default(one) for one in device]
-    else:
-        there = launcher.device_or_default(device)
+    take = launcher.device_or_default
+    there: Any = [take(one) for one in device] if isinstance(device, list) else take(device)
     return NeighborGrid(points, radius, groups=groups, periodic=periodic, skin=skin, device=there)
