@@ -20,12 +20,11 @@ __all__ = ["app"]
 
 app = App(name="query", help="Find closest points, signed distances, ray hits, samples or neighbors.")
 
-OUTPUTS = f"{' '.join(OUTPUT_EXTENSIONS)}, or - for CSV on stdout; by default only a summary is printed."
-Output = Annotated[Path | None, Parameter(name=["--output", "-o"], allow_leading_hyphen=True, help=OUTPUTS)]
+Output = Annotated[Path | None, Parameter(name=["--output", "-o"], allow_leading_hyphen=True)]
 
 
 @app.command
-@with_formats("points", "r")
+@with_formats("points", "r", outputs=OUTPUT_EXTENSIONS)
 def closest(
     mesh: Path, points: Path, /, *, output: Output = None, max_distance: float = math.inf, common: Asking = ASKING
 ) -> None:
@@ -34,6 +33,7 @@ def closest(
     Args:
         mesh: A mesh file.
         points: Points ({formats}).
+        output: {outputs}, or - for CSV on stdout; by default only a summary is printed.
         max_distance: Search radius in world units; farther points are misses (triangle_id -1).
     """
     check_output(output, force=common.force)
@@ -47,13 +47,14 @@ def closest(
 
 
 @app.command
-@with_formats("points", "r")
+@with_formats("points", "r", outputs=OUTPUT_EXTENSIONS)
 def signed(mesh: Path, points: Path, /, *, output: Output = None, sign: str = "auto", common: Asking = ASKING) -> None:
     """Compute the signed distance of each point to a mesh, negative inside.
 
     Args:
         mesh: A mesh file.
         points: Points ({formats}).
+        output: {outputs}, or - for CSV on stdout; by default only a summary is printed.
         sign: Method that decides the sign: auto (by default; sheets, which enclose nothing, have theirs by the normals
             of their faces), pseudonormal, winding or parity.
     """
@@ -72,7 +73,7 @@ def signed(mesh: Path, points: Path, /, *, output: Output = None, sign: str = "a
 
 
 @app.command
-@with_formats("rays", "r")
+@with_formats("rays", "r", outputs=OUTPUT_EXTENSIONS)
 def ray(
     mesh: Path,
     rays: Path,
@@ -89,6 +90,7 @@ def ray(
     Args:
         mesh: A mesh file.
         rays: Origins and directions ({formats}): six columns, or two arrays in .npz.
+        output: {outputs}, or - for CSV on stdout; by default only a summary is printed.
         max_distance: Length of the rays in world units; farther hits are misses (triangle_id -1).
         columns: From a table (.csv .xyz .txt): names of the six columns, origins first, as in px,py,pz,vx,vy,vz; by
             default their names tell.
@@ -116,7 +118,7 @@ def ray(
 
 
 @app.command
-@with_formats("points", "r")
+@with_formats("points", "r", outputs=OUTPUT_EXTENSIONS)
 def sample(
     volume: Path,
     points: Path,
@@ -133,6 +135,7 @@ def sample(
     Args:
         volume: A .vdb or .nvdb file.
         points: Points ({formats}).
+        output: {outputs}, or - for CSV on stdout; by default only a summary is printed.
         grid: Name of the grid, if the file holds several.
         order: Interpolation: 0 nearest voxel, 1 trilinear.
         gradient: Also write the gradient.
@@ -156,7 +159,7 @@ def sample(
 
 
 @app.command
-@with_formats("points", "r")
+@with_formats("points", "r", outputs=OUTPUT_EXTENSIONS)
 def neighbors(
     cloud: Path,
     queries: Path | None = None,
@@ -178,6 +181,7 @@ def neighbors(
         queries: The query points; by default the points of the cloud, each of which then finds itself.
         radius: Search radius in world units; with nearest, the largest distance.
         nearest: Number of nearest points, 1 to 1024; missing ones have index -1 and distance inf.
+        output: {outputs}, or - for CSV on stdout; by default only a summary is printed.
     """
     from geokit.points import NeighborGrid
     from geokit.points._io import TABLES

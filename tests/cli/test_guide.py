@@ -34,7 +34,8 @@ def test_the_list_then_one_guide(geokit, fails) -> None:
 def test_the_wheel_alone_has_what_guides_read(tmp_path: Path) -> None:
     """The folders of the wheel, laid out by hand: a program of `geokit guide` runs beside no checkout."""
     settings = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
-    (packed,) = re.findall(r"^wheel\.packages = \{(.*)\}$", settings, re.MULTILINE)
+    # The second one is a wheel's alone.
+    _, packed = re.findall(r"^wheel\.packages = \{(.*)\}$", settings, re.MULTILINE)
     for inside, source in re.findall(r'"([\w/]+)" = "([\w/]+)"', packed):
         left_out = shutil.ignore_patterns("__pycache__", "src", "generate.py")
         shutil.copytree(ROOT / source, tmp_path / "site" / inside, ignore=left_out, dirs_exist_ok=True)
