@@ -84,8 +84,7 @@ class _Unmeasured(Simplified):
     @cached_property
     def known(self) -> Simplified:
         known = Simplified(self.mesh, *self.__dict__["measure"]())
-        # Lets go of the original; another thread may ask at the same time.
-        self.__dict__["measure"] = lambda: known[1:]
+        self.__dict__["measure"] = lambda: known[1:]  # lets go of the original; another thread may ask meanwhile
         return known
 
     deviation, deviation_p999 = map(property, map(_of_known, map(attrgetter, Simplified._fields[1:])))

@@ -53,13 +53,13 @@ def hollow(made: SimpleNamespace) -> None:
 def clearance(made: SimpleNamespace) -> None:
     dense = gk.mesh.sample_surface(made.link.mesh, 50_000, seed=5).points
     assert 3 < np.sum(made.clearance == 0.0) < 10
-    for one, matrix, depth in zip(made.found, made.poses, made.depth, strict=True):
+    for distance, point, other_point, matrix, depth in zip(*made.found[:3], made.poses, made.depth, strict=True):
         away = to_torus(dense @ matrix[:3, :3].T + matrix[:3, 3], 100.0, 40.0)
-        if one.distance > 0.0:
+        if distance > 0.0:
             # The triangles are within 0.06 of the torus, the samples within 0.5 of the nearest point.
-            assert one.distance - 0.1 < away.min() < one.distance + 0.6
-            assert to_torus(one.point[None], 100.0, 40.0)[0] == pytest.approx(one.distance, abs=0.1)
-            assert np.linalg.norm(one.point - one.other_point) == pytest.approx(one.distance, abs=1e-9)
+            assert distance - 0.1 < away.min() < distance + 0.6
+            assert to_torus(point[None], 100.0, 40.0)[0] == pytest.approx(distance, abs=0.1)
+            assert np.linalg.norm(point - other_point) == pytest.approx(distance, abs=1e-9)
         else:
             assert away.min() < 0.1
             assert depth == pytest.approx(-away.min(), abs=0.6)

@@ -45,9 +45,8 @@ def build_binary_tree(vertices: "wp.array", faces: "wp.array", frame: Frame) -> 
     del order, parent
     row, rows = prefix_sum(kept)
     tree.boxes = wp.empty(kernels.NODE_FLOATS * rows, dtype=wp.float32, device=device)
-    outputs = [tree.boxes, tree.boxes.view(wp.int32)]
     inputs = [boxes, links, place, row, MOST_IN_LEAF, wp.float32(RAY_PADDING)]
-    launcher.launch(kernels.nodes_kernel, count - 1, inputs, outputs, device)
+    launcher.launch(kernels.nodes_kernel, count - 1, inputs, [tree.boxes, tree.boxes.view(wp.int32)], device)
     tree.children = wp.array([0 if rows else -count], dtype=wp.int32, device=device)
     del boxes, links, place, kept, row, inputs
     tree.corners = wp.empty(3 * count, dtype=wp.vec3d, device=device)

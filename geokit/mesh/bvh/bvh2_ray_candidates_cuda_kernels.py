@@ -10,7 +10,7 @@ together with the other candidates.
 import warp as wp
 
 from geokit.core import cpp
-from geokit.mesh.bvh.ray_walk_kernels import RAY_CONSTANTS
+from geokit.mesh.bvh.ray_walk_kernels import RAY_CONSTANTS, SHORTEST_DIRECTION, is_usable, length_in_t
 from geokit.mesh.bvh.tree_kernels import LEFT_OVER, NO_CANDIDATE, UNDECIDED, SurfaceTree
 
 wp.set_module_options({"enable_backward": False})
@@ -39,27 +39,62 @@ CANDIDATE_CONSTANTS = {
 }
 
 
-@wp.kernel(cuda_max_registers=REGISTERS, grid_stride=False)
-@cpp.native_item(
-    "mesh/bvh/ray_candidates_cuda.inl",
-    "first_hit",
-    SurfaceTree,
-    **CANDIDATE_CONSTANTS,
-    CANDIDATES=CANDIDATES,
-    ANY_HIT=False,
+@cpp.func_native(
+    "mesh/bvh/ray_candidates_cuda.inl", SurfaceTree, **CANDIDATE_CONSTANTS, CANDIDATES=CANDIDATES, ANY_HIT=False
 )
-def first_hit_kernel(first: int):
+def first_hit(): ...
+
+
+@cpp.func_native(
+    "mesh/bvh/ray_candidates_cuda.inl", SurfaceTree, **CANDIDATE_CONSTANTS, CANDIDATES=ANY_HIT_CANDIDATES, ANY_HIT=True
+)
+def any_hit(): ...
+
+
+@wp.kernel(cuda_max_registers=REGISTERS, grid_stride=False)
+def first_hit_kernel(
+    first: int,
+    origins: wp.array(dtype=wp.vec3d),
+    directions: wp.array(dtype=wp.vec3d),
+    tree: SurfaceTree,
+    t_min: wp.float64,
+    max_distance: wp.float64,
+    out_t: wp.array(dtype=wp.float64),
+    out_triangle_id: wp.array(dtype=int),
+    out_barycentric: wp.array(dtype=wp.vec3d),
+    out_bad: wp.array(dtype=int),
+):
     """First hits; rays with too many candidates, or from too far away for float32, become UNDECIDED."""
+    ray = first + wp.tid()
+    start = origins[ray]
+    direction = directions[ray]
+    largest = wp.max(wp.max(wp.abs(direction[0]), wp.abs(direction[1])), wp.abs(direction[2]))
+    if is_usable(start, direction, largest, wp.float64(SHORTEST_DIRECTION)):
+        t_max = length_in_t(max_distance, direction)
+        first_hit(tree, start, direction, t_min, t_max, ray, out_t, out_triangle_id, out_barycentric, out_bad)
+    else:
+        # The host rejects the whole batch and names the row.
+        out_bad[0] = 1
+        out_triangle_id[ray] = NO_CANDIDATE
 
 
 @wp.kernel(cuda_max_registers=ANY_HIT_REGISTERS, grid_stride=False)
-@cpp.native_item(
-    "mesh/bvh/ray_candidates_cuda.inl",
-    "any_hit",
-    SurfaceTree,
-    **CANDIDATE_CONSTANTS,
-    CANDIDATES=ANY_HIT_CANDIDATES,
-    ANY_HIT=True,
-)
-def any_hit_kernel(first: int):
+def any_hit_kernel(
+    first: int,
+    origins: wp.array(dtype=wp.vec3d),
+    directions: wp.array(dtype=wp.vec3d),
+    tree: SurfaceTree,
+    t_min: wp.float64,
+    max_distance: wp.float64,
+    out_occluded: wp.array(dtype=wp.bool),
+    out_bad: wp.array(dtype=int),
+):
     """Whether rays hit anything; those with too many candidates, or from too far away for float32, are LEFT_OVER."""
+    ray = first + wp.tid()
+    start = origins[ray]
+    direction = directions[ray]
+    largest = wp.max(wp.max(wp.abs(direction[0]), wp.abs(direction[1])), wp.abs(direction[2]))
+    if is_usable(start, direction, largest, wp.float64(SHORTEST_DIRECTION)):
+        any_hit(tree, start, direction, t_min, length_in_t(max_distance, direction), ray, out_occluded, out_bad)
+    else:
+        out_bad[0] = 1  # the host rejects the whole batch and names the row

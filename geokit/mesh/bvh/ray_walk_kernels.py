@@ -39,7 +39,6 @@ AHEAD = 32
 
 RAY_CONSTANTS = {
     **NODE_CONSTANTS,
-    "SHORTEST_DIRECTION": SHORTEST_DIRECTION,
     "NEAR_START": NEAR_START,
     "PLANE_MARGIN": np.float32(PLANE_MARGIN),
     "ENDLESS": np.float32(ENDLESS),
@@ -51,6 +50,7 @@ RAY_CONSTANTS = {
 # Those of walk_rays, beside CROSSINGS and UNORDERED.
 WALK_CONSTANTS = {
     **RAY_CONSTANTS,
+    "SHORTEST_DIRECTION": SHORTEST_DIRECTION,
     "BOX_MARGIN": np.float32(BOX_MARGIN),
     "IN_FLIGHT": IN_FLIGHT,
     "AHEAD": AHEAD,
@@ -59,3 +59,22 @@ WALK_CONSTANTS = {
     "SURE_START": SURE_START,
     "STACK": STACK,
 }
+
+
+@wp.func_native(
+    """
+    const wp::vec_t<3, wp::float64> none = (start - start) + (direction - direction);
+    return largest >= shortest && none[0] + none[1] + none[2] == 0.0;
+"""
+)
+def is_usable(start: wp.vec3d, direction: wp.vec3d, largest: wp.float64, shortest: wp.float64) -> bool:
+    """Whether all numbers are finite (x - x is zero, unless x is infinite or NaN) and the direction is long enough."""
+    ...
+
+
+@wp.func
+def length_in_t(max_distance: wp.float64, direction: wp.vec3d) -> wp.float64:
+    t_max = max_distance
+    if wp.isfinite(max_distance):
+        t_max = max_distance / wp.length(direction)
+    return t_max

@@ -99,10 +99,8 @@ class DistanceQueries(OverlapQueries):
         # A power of two scales without rounding; unscaled, products of corners could underflow.
         unit = np.ldexp(1.0, -np.round(np.log2(np.maximum(scale, other._frame.scale))).astype(np.int32))
         count = max(ROWS // self._leaf_count, 1)
-        parts = [
-            self._distances(other, maps[at : at + count], unit[at : at + count])
-            for at in range(0, max(len(maps), 1), count)
-        ]
+        begins = range(0, max(len(maps), 1), count)
+        parts = [self._distances(other, maps[at : at + count], unit[at : at + count]) for at in begins]
         found = [np.concatenate(part) for part in zip(*parts, strict=True)]
         if given.ndim == 2:
             distance, point, other_point, triangle_id, other_triangle_id = (each[0] for each in found)
@@ -130,8 +128,7 @@ class DistanceQueries(OverlapQueries):
         launcher.launch(kernels.bound_by_corners_kernel, items * len(maps), inputs, [bound], device, grain=LEAF_GRAIN)
         squared = wp.empty(leaves * len(maps), dtype=wp.float64, device=device)
         pairs = wp.empty(2 * leaves * len(maps), dtype=wp.int32, device=device)
-        inputs = [leaves, self._tree, *poses, other._tree, other._slot_boxes, units]
-        outputs = [bound, squared, pairs]
+        inputs, outputs = [leaves, self._tree, *poses, other._tree, other._slot_boxes, units], [bound, squared, pairs]
         launcher.launch(kernels.nearest_pair_kernel, leaves * len(maps), inputs, outputs, device, grain=LEAF_GRAIN)
         found = squared.numpy().reshape(-1, leaves)
         least = found.min(axis=1)
@@ -148,10 +145,9 @@ class DistanceQueries(OverlapQueries):
 
     def _moved_scales(self, maps: NDArray[np.float64]) -> NDArray[np.float64]:
         """Half the longest side of a box around the surface where each map places it."""
-        linear, shift = maps[:, :3, :3], maps[:, :3, 3]
         with np.errstate(over="ignore", invalid="ignore"):
-            center = linear @ self._frame.origin + shift
-            half = np.abs(linear) @ np.full(3, self._frame.scale)
+            center = maps[:, :3, :3] @ self._frame.origin + maps[:, :3, 3]
+            half = np.abs(maps[:, :3, :3]) @ np.full(3, self._frame.scale)
             far = (np.abs(center) + half).max(axis=1)
         beyond = ~(far <= LARGEST_MEASURED)
         if beyond.any():
