@@ -4,6 +4,9 @@ __version__: str
 from . import mesh as mesh, points as points, volume as volume
 from . import accuracy as accuracy, render as render, threads as threads
 
+# Queries that the user's own kernels call.
+from . import kernels as kernels
+
 # Meshes whose vertices are a torch tensor; queries take tensors with gradients as they are.
 from . import torch as torch
 

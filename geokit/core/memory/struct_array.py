@@ -14,7 +14,7 @@ from geokit.core.base.forks import Lock
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["Parts", "layout_of_struct", "struct_array", "struct_rows", "struct_table"]
+__all__ = ["Parts", "handed_out", "layout_of_struct", "struct_array", "struct_rows", "struct_table"]
 
 _lock = Lock()
 
@@ -92,3 +92,17 @@ def struct_table(struct: Any, count: int, **fields: Any) -> NDArray[Any]:
 def struct_rows(struct: Any, values: Iterable[Any]) -> NDArray[Any]:
     """The table of structs that exist."""
     return np.array([value.numpy_value() for value in values], layout_of_struct(struct))
+
+
+def handed_out(struct: Any, device: "wp.Device", owner: Any) -> Any:
+    """A struct for kernels of the user's: it keeps its owner alive, and has no array that is None, as a Tape wants."""
+    import warp as wp
+
+    for name, field in struct._cls.vars.items():
+        value = getattr(struct, name)
+        if value is None:
+            setattr(struct, name, wp.empty(0, dtype=field.type.dtype, device=device))
+        elif hasattr(value, "_cls"):
+            handed_out(value, device, owner)
+    struct.__dict__["_owner"] = owner
+    return struct

@@ -30,6 +30,7 @@ __all__ = [
     "SIGNED_DISTANCE",
     "SIGNED_DISTANCE_OF_MANY",
     "corners_of",
+    "sloped_faces",
 ]
 
 # ROUNDING for what is computed in float32, as jax may be set to: 64 roundings.
@@ -203,7 +204,7 @@ def _pulled(
     corners = (3 * count, 3, wp.float64) if is_cornered else (0, 1, wp.int32)
     out = [*(arrays.made(count if name in wanted else 0, 3) for name in rows), arrays.made(*corners)]
     out.append(arrays.made(corners[0], 1, wp.int32))
-    mesh, owner = _sloped_faces(surface, signed), _owners(surface, offsets, lead_of(first), arrays.device)
+    mesh, owner = sloped_faces(surface, signed), _owners(surface, offsets, lead_of(first), arrays.device)
     arrays.launch(kernels[is_cornered][arrays.number], count, [mesh, owner, *inputs], out)
     found = dict(zip(rows, out, strict=False))
     if is_cornered:
@@ -211,7 +212,7 @@ def _pulled(
     return {name: found[name] for name in wanted}
 
 
-def _sloped_faces(surface: Any, signed: bool) -> Any:
+def sloped_faces(surface: Any, signed: bool) -> Any:
     """What the kernels take of a surface, or of many; without signs the outward sides are not read."""
 
     def make() -> Any:

@@ -21,6 +21,23 @@ from geokit.mesh.queries.foot_slopes_kernels import (
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
+@wp.func
+def hit_slope(on: Corners, along: wp.vec3d, by_t: wp.float64, by_weights: wp.vec3d) -> wp.vec3d:
+    """The slope of a ray's origin, from those of t and of the weights; 0 along the plane."""
+    slope = wp.vec3d()
+    normal = wp.cross(on.b - on.a, on.c - on.a)
+    steep = wp.dot(along, normal)
+    if steep != NONE:
+        # Of the hit, within the plane.
+        by_hit = wp.vec3d()
+        if not (by_weights == wp.vec3d()):
+            area = wp.dot(normal, normal)
+            by_hit = ((by_weights[1] - by_weights[0]) / area) * wp.cross(on.c - on.a, normal)
+            by_hit += ((by_weights[2] - by_weights[0]) / area) * wp.cross(normal, on.b - on.a)
+        slope = by_hit - ((wp.dot(by_hit, along) + by_t) / steep) * normal
+    return slope
+
+
 @wp.kernel
 def hit_slopes_kernel(
     first: int,
@@ -48,22 +65,14 @@ def hit_slopes_kernel(
     face = triangle_id[i]
     if face >= 0:
         face = face_of(mesh, owner, i, face)
-        on = corners_of(mesh, face)
-        along = wp.vec3d(directions[i])
-        normal = wp.cross(on.b - on.a, on.c - on.a)
-        steep = wp.dot(along, normal)
-        if steep != NONE:
-            # Of the hit, within the plane.
-            by_hit = wp.vec3d()
-            if by_weights.shape[0] > 0:
-                slope_w = wp.vec3d(by_weights[i])
-                area = wp.dot(normal, normal)
-                by_hit = ((slope_w[1] - slope_w[0]) / area) * wp.cross(on.c - on.a, normal)
-                by_hit += ((slope_w[2] - slope_w[0]) / area) * wp.cross(normal, on.b - on.a)
-            total = wp.dot(by_hit, along)
-            if by_t.shape[0] > 0:
-                total += wp.float64(by_t[i])
-            slope = by_hit - (total / steep) * normal
+        slope_t = NONE
+        slope_w = wp.vec3d()
+        if by_t.shape[0] > 0:
+            slope_t = wp.float64(by_t[i])
+        if by_weights.shape[0] > 0:
+            slope_w = wp.vec3d(by_weights[i])
+        slope = hit_slope(corners_of(mesh, face), wp.vec3d(directions[i]), slope_t, slope_w)
+        if not (slope == wp.vec3d()):
             far = wp.float64(t[i])
             slopes = shared(wp.vec3d(barycentric[i]), -slope)
     if out_origins.shape[0] > 0:

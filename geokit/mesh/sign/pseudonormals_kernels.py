@@ -90,6 +90,12 @@ def pseudonormal(tables: Pseudonormals, triangle: int, barycentric: wp.vec3d) ->
     return normal
 
 
+@wp.func
+def is_behind(tables: Pseudonormals, p: wp.vec3d, foot: wp.vec3d, triangle: int, barycentric: wp.vec3d) -> bool:
+    """Whether p lies behind its closest point, as the normals show there."""
+    return wp.dot(p - foot, pseudonormal(tables, triangle, barycentric)) < wp.float64(0.0)
+
+
 @wp.kernel
 def pseudonormal_sign_kernel(
     first: int,
@@ -105,6 +111,5 @@ def pseudonormal_sign_kernel(
     i = first + wp.tid()
     triangle = triangle_id[i]
     if triangle >= 0 and out_distance[i] < outside:
-        normal = pseudonormal(tables, triangle, barycentric[i])
-        if wp.dot(points[i] - closest[i], normal) < wp.float64(0.0):
+        if is_behind(tables, points[i], closest[i], triangle, barycentric[i]):
             out_distance[i] = -out_distance[i]

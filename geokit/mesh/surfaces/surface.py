@@ -278,6 +278,24 @@ class Surface(SignQueries, RayQueries, DistanceQueries):
         """
         return int(self._warp_mesh.id)
 
+    def on_kernel(self, sign: str | None = "auto") -> Any:
+        """The surface for the user's own kernels, which call :mod:`geokit.kernels` on it: exact, with the calls' bits.
+
+        Unlike :attr:`id` it keeps what it refers to alive, and shows the surface as it is now: ask again after
+        :meth:`update`. It is one of ``device``.
+
+        Args:
+            sign: How signs are decided, as in :meth:`signed_distance`; "parity" is not for kernels. None prepares no
+                signs, which saves time and memory.
+        Returns:
+            A ``geokit.kernels.Surface``, for a parameter of that type.
+        Raises:
+            InputError: There is no such sign, or the mesh is smaller than 1e-70 or larger than 1e70.
+        """
+        from geokit.mesh.surfaces.on_kernel import on_kernel
+
+        return on_kernel(self, sign)
+
     @property
     def origin(self) -> np.ndarray:
         """Origin of the local frame, the center of ``bounds`` in float64 [world], shape (3,).

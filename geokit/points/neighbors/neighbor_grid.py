@@ -30,6 +30,7 @@ from geokit.core.interop.user_arrays import (
 from geokit.core.launches import prepared
 from geokit.core.memory import available_memory
 from geokit.core.memory.needs import needs, rows
+from geokit.core.memory.struct_array import handed_out
 from geokit.core.memory.unchecked import allocating
 from geokit.core.query.ask import query
 from geokit.core.require import require_choice, require_count, require_flag
@@ -387,14 +388,35 @@ class NeighborGrid:
         Raises:
             InputError: The grid has groups or is periodic.
         """
-        if self._groups is not None:
-            raise InputError("groups: a wp.HashGrid does not tell them apart; make a grid for each, or without groups")
-        self._refuse_periodic("id", "a wp.HashGrid holds no images")
+        self._refuse_in_kernels("id", "queries of a wp.HashGrid")
         with self._lock:
             if self._hash_grid is None:
                 # Warp needs a positive cell length even if the radius is 0.
                 self._hash_grid = _hash_grid_of(self._points(), self._radius or self._spacing or 1.0)
             return int(self._hash_grid[0].id)
+
+    def on_kernel(self) -> Any:
+        """The points for the user's own kernels, which call :mod:`geokit.kernels` on them: exact, as the searches.
+
+        Unlike :attr:`id` it needs no memory of its own, keeps what it refers to alive, and shows the points as they are
+        now: ask again after :meth:`update`. It is one of ``device``.
+
+        Returns:
+            A ``geokit.kernels.NeighborGrid``, for a parameter of that type.
+        Raises:
+            InputError: The grid has groups or is periodic.
+        """
+        from geokit.points.neighbors import user_kernels as kernels
+
+        self._refuse_in_kernels("on_kernel", "kernels")
+        found: Any = kernels.NeighborGrid()
+        found.cells = self._cells.grid
+        return handed_out(found, self._device, self)
+
+    def _refuse_in_kernels(self, name: str, who: str) -> None:
+        if self._groups is not None:
+            raise InputError(f"groups: {who} do not tell them apart; make a grid for each, or without groups")
+        self._refuse_periodic(name, f"{who} find no images")
 
     def __len__(self) -> int:
         return self._count

@@ -24,7 +24,7 @@ from geokit.volume.tree.leaves import require_volume
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["gradient", "is_scalar", "require_order", "sample", "view_as"]
+__all__ = ["gradient", "is_scalar", "require_order", "sample", "valued", "view_as"]
 
 ORDERS = {0: "nearest voxel", 1: "trilinear", 2: "triquadratic", 3: "tricubic"}
 
@@ -34,7 +34,7 @@ def _require_placeable(volume: Any, *, space: str = "world", channel: int | str 
     require_space(space)
     if space != "world":
         raise InputError("space: index coordinates move with the volume; beside transform give world points")
-    values = _valued(require_volume(volume, "volume"), channel).info.grid_type
+    values = valued(require_volume(volume, "volume"), channel).info.grid_type
     if COMPONENTS.get(values, 1) != 1:
         raise InputError(
             f"transform: vectors of type {values} may have to turn too; move the points, and turn the values"
@@ -201,7 +201,7 @@ def _checked(volume: Any, order: Any, space: Any, channel: Any, device: Any) -> 
     require_volume(volume, "volume")
     order = require_order((volume.info.order or 1) if order is None else order)
     require_space(space)
-    volume = _valued(volume, channel)
+    volume = valued(volume, channel)
     return volume, order, _require_components(volume), launcher.resolve_device(device)
 
 
@@ -214,7 +214,7 @@ def _is_staggered(volume: SparseVolume) -> bool:
     return volume.info.grid_class == "staggered" and COMPONENTS[volume.info.grid_type] == 3
 
 
-def _valued(volume: SparseVolume, channel: int | str | None) -> SparseVolume:
+def valued(volume: SparseVolume, channel: int | str | None) -> SparseVolume:
     """The volume itself, or for an index grid the volume of values of one channel."""
     if channel is None and volume.info.grid_type not in INDEX_TYPES:
         return volume

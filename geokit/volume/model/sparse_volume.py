@@ -78,6 +78,25 @@ class SparseVolume:
         """Handle of the grid for custom kernels: pass it as ``wp.uint64`` and call warp's ``volume_*`` built-ins."""
         return int(self.on(device).id)
 
+    @needs()
+    def on_kernel(self, device: Devices = None) -> Any:
+        """The volume for the user's own kernels, which call :mod:`geokit.kernels` on it, with the calls' bits.
+
+        Unlike :meth:`id` it reads every grid of numbers, quantized ones too, and keeps what it refers to alive.
+
+        Args:
+            device: Where the kernels run; None for the first GPU, else the CPU.
+        Returns:
+            A ``geokit.kernels.SparseVolume``, for a parameter of that type.
+        Raises:
+            InputError: There is no such device.
+            FileFormatError: The buffer is not a valid grid.
+            UnsupportedGridError: The grid holds vectors or points.
+        """
+        from geokit.volume.at_points.on_kernel import on_kernel
+
+        return on_kernel(self, device)
+
     def sample(
         self,
         points: Rows,
