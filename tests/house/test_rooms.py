@@ -284,6 +284,7 @@ def test_public_names_are_those_of_the_contract():
         "distributed",
         "errors",
         "jax",
+        "kernels",
         "mesh",
         "points",
         "register",
@@ -295,7 +296,15 @@ def test_public_names_are_those_of_the_contract():
         "torch",
         "volume",
     }
-    for namespace in (geokit.mesh, geokit.volume, geokit.points, geokit.render, geokit.threads, geokit.accuracy):
+    for namespace in (
+        geokit.mesh,
+        geokit.volume,
+        geokit.points,
+        geokit.render,
+        geokit.kernels,
+        geokit.threads,
+        geokit.accuracy,
+    ):
         for name in namespace.__all__:
             assert getattr(namespace, name) is not None
 

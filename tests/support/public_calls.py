@@ -188,6 +188,7 @@ def _mesh_calls(s: Scene) -> Iterator[Call]:
     yield Call("mesh.Surface.self_intersections", s.surface.self_intersections, {})
     yield Call("mesh.Surface.occluded", s.surface.occluded, rays)
     boxes = {"lower": s.queries, "upper": s.queries + 0.5}
+    yield Call("mesh.Surface.on_kernel", s.surface.on_kernel, {"sign": "winding"})
     yield Call("mesh.Surface.overlapping", s.surface.overlapping, boxes)
     yield Call("mesh.Surface.raycast", s.surface.raycast, rays)
     yield Call("mesh.Surface.raycast_all", s.surface.raycast_all, rays)
@@ -262,6 +263,7 @@ def _volume_calls(s: Scene) -> Iterator[Call]:
         yield Call("volume.save(vdb)", v.save, {"path": s.folder / "out.vdb", "volumes": (s.sdf,)})
     yield Call("volume.SparseVolume", v.SparseVolume, {"nanovdb": s.sdf.nanovdb, "info": s.sdf.info})
     yield Call("volume.SparseVolume.on", s.sdf.on, cpu)
+    yield Call("volume.SparseVolume.on_kernel", s.sdf.on_kernel, cpu)
     yield Call("volume.SparseVolume.id", s.sdf.id, cpu)
     yield Call("volume.AdaptiveSDF", v.AdaptiveSDF, {"levels": s.adaptive.levels})
     yield Call("volume.AdaptiveSDF.sample", s.adaptive.sample, asked)
@@ -372,6 +374,7 @@ def _point_calls(s: Scene) -> Iterator[Call]:
     yield Call("points.NeighborGrid.neighbor_list", s.periodic.neighbor_list, {}, {"radius": "numbers"})
     yield Call("points.NeighborGrid(skin)", p.NeighborGrid, {**cloud, "radius": 0.3, "skin": 0.1})
     yield Call("points.NeighborGrid.radius_search(skin)", s.moving.radius_search, {}, {"radius": "numbers"})
+    yield Call("points.NeighborGrid.on_kernel", s.grid.on_kernel, {})
     yield Call("points.NeighborGrid.candidates", s.moving.candidates, {})
     yield Call("points.NeighborGrid.update", s.grid.update, {"points": s.cloud})
     yield Call("points.NeighborGrid.update(skin)", s.moving.update, {"points": s.cloud})

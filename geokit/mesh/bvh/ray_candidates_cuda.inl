@@ -21,6 +21,7 @@ static constexpr auto find_candidates = [](const SurfaceTree& tree, const point&
     auto fabsf = [](float a) { return __builtin_fabsf(a); };
     auto sqrtf = [](float a) { return __builtin_sqrtf(a); };
     auto copysignf = [](float a, float b) { return __builtin_copysignf(a, b); };
+    auto fmaf = [](float a, float b, float c) { return __builtin_fmaf(a, b, c); };
 #endif
     found[0] = NO_CANDIDATE;
     float sx, sy, sz, tx, ty, tz, last;
@@ -62,10 +63,11 @@ static constexpr auto find_candidates = [](const SurfaceTree& tree, const point&
     };
     const float ix = reciprocal_of(tx), iy = reciprocal_of(ty), iz = reciprocal_of(tz);
     const float ox = -sx * ix, oy = -sy * iy, oz = -sz * iz;
+    // Fused explicitly: modules of the user's may not let the compiler do so.
     // Distance at which the ray enters a box, or infinity.
     auto entry_of = [&](float lx, float ly, float lz, float ux, float uy, float uz) {
-        const float x0 = lx * ix + ox, x1 = ux * ix + ox, y0 = ly * iy + oy, y1 = uy * iy + oy;
-        const float z0 = lz * iz + oz, z1 = uz * iz + oz;
+        const float x0 = fmaf(lx, ix, ox), x1 = fmaf(ux, ix, ox), y0 = fmaf(ly, iy, oy), y1 = fmaf(uy, iy, oy);
+        const float z0 = fmaf(lz, iz, oz), z1 = fmaf(uz, iz, oz);
         const float in = fmaxf(fmaxf(fminf(x0, x1), fminf(y0, y1)), fmaxf(fminf(z0, z1), 0.f));
         const float out = fminf(fminf(fmaxf(x0, x1), fmaxf(y0, y1)), fminf(fmaxf(z0, z1), last));
         return in <= out ? in : (float)INFINITY;
@@ -85,19 +87,20 @@ static constexpr auto find_candidates = [](const SurfaceTree& tree, const point&
             }
         count = kept;
     };
+    auto dot = [&](float a, float b, float c, float x, float y, float z) { return fmaf(a, x, fmaf(b, y, c * z)); };
     // Multiplied by dz, with signs such that dz is positive: grazing rays lose no digits in a division.
     auto test = [&](int slot) {
         const Four* row = (const Four*)(tree.leaves.data + SLOT_WORDS * slot);
         const Four r0 = row[0], r1 = row[1], r2 = row[2], r3 = row[3];
         const float ax = sx - r0.x, ay = sy - r0.y, az = sz - r0.z;
-        const float oz = ax * r2.y + ay * r2.z + az * r2.w, dz = tx * r2.y + ty * r2.z + tz * r2.w;
+        const float oz = dot(ax, ay, az, r2.y, r2.z, r2.w), dz = dot(tx, ty, tz, r2.y, r2.z, r2.w);
         const float depth = dz < 0.f ? oz : -oz, down = fabsf(dz);
-        if (!(depth >= -PLANE_MARGIN && depth <= last * down + PLANE_MARGIN)) return;
-        const float ox = ax * r0.w + ay * r1.x + az * r1.y, dx = tx * r0.w + ty * r1.x + tz * r1.y;
-        const float oy = ax * r1.z + ay * r1.w + az * r2.x, dy = tx * r1.z + ty * r1.w + tz * r2.x;
-        const float x = ox * down + dx * depth, y = oy * down + dy * depth;
+        if (!(depth >= -PLANE_MARGIN && depth <= fmaf(last, down, PLANE_MARGIN))) return;
+        const float ox = dot(ax, ay, az, r0.w, r1.x, r1.y), dx = dot(tx, ty, tz, r0.w, r1.x, r1.y);
+        const float oy = dot(ax, ay, az, r1.z, r1.w, r2.x), dy = dot(tx, ty, tz, r1.z, r1.w, r2.x);
+        const float x = fmaf(ox, down, dx * depth), y = fmaf(oy, down, dy * depth);
         const float longest = r3.x, cx = r3.y, cy = r3.z, margin = PLANE_MARGIN * longest;
-        const float ca = cy * x - cx * y, bc = (cx - longest) * y - cy * (x - longest * down);
+        const float ca = fmaf(cy, x, -cx * y), bc = fmaf(cx - longest, y, -cy * fmaf(-longest, down, x));
         if (!(y >= -PLANE_MARGIN && ca >= -margin && bc >= -margin)) return;
         const bool inside = y > PLANE_MARGIN && ca > margin && bc > margin && depth > PLANE_MARGIN;
         if (ANY_HIT) {

@@ -68,13 +68,21 @@ static constexpr auto hit_at_all = [](const SurfaceTree& tree, const point& star
     }
     v = fb / whole;
     w = fc / whole;
-    t = (fa * a[2] + fb * b[2] + fc * c[2]) * sz / whole;
+    t = plus(plus(product(fa, a[2]), product(fb, b[2])), product(fc, c[2])) * sz / whole;
     return true;
 };
 
 static constexpr auto difference_of_products = [](double p, double q, double r, double s) {
     const double rs = product(r, s);
     return plus(fused(p, q, -rs), fused(-r, s, rs));
+};
+static constexpr auto dot_of = [](const point& p, const point& q) {
+    return plus(plus(product(p[0], q[0]), product(p[1], q[1])), product(p[2], q[2]));
+};
+// p - scale * q.
+static constexpr auto minus_scaled = [](const point& p, const point& q, double scale) {
+    return point(minus(p[0], product(q[0], scale)), minus(p[1], product(q[1], scale)),
+                 minus(p[2], product(q[2], scale)));
 };
 // Distance and weights of a hit on a sliver, to full precision.
 //
@@ -88,14 +96,14 @@ static constexpr auto refine_sliver = [](const SurfaceTree& tree, const point& s
     const point a = tree.corners.data[3 * slot], b = tree.corners.data[3 * slot + 1],
                 c = tree.corners.data[3 * slot + 2];
     const point ab = b - a, bc = c - b, ca = a - c;
-    const double ab2 = wp::dot(ab, ab), bc2 = wp::dot(bc, bc), ca2 = wp::dot(ca, ca);
+    const double ab2 = dot_of(ab, ab), bc2 = dot_of(bc, bc), ca2 = dot_of(ca, ca);
     // The longest edge runs from corner i to corner j.
     const int o = bc2 >= ca2 ? (bc2 >= ab2 ? 0 : 2) : (ca2 >= ab2 ? 1 : 2), i = (o + 1) % 3;
     const point edge = o == 0 ? bc : o == 1 ? ca : ab;
     const point e = o == 0 ? ab : o == 1 ? bc : ca, f = o == 0 ? -ca : o == 1 ? -ab : -bc;
     const point normal(difference_of_products(e[1], f[2], e[2], f[1]), difference_of_products(e[2], f[0], e[0], f[2]),
                        difference_of_products(e[0], f[1], e[1], f[0]));
-    const double length2 = wp::dot(edge, edge);
+    const double length2 = dot_of(edge, edge);
     if (length2 == 0.0) return;
     // From the start of the ray to the ends of the edge and to the opposite corner.
     const point first = (i == 0 ? a : i == 1 ? b : c) - start, opposite = (o == 0 ? a : o == 1 ? b : c) - start;
@@ -105,20 +113,21 @@ static constexpr auto refine_sliver = [](const SurfaceTree& tree, const point& s
                          : (wp::abs(direction[1]) >= wp::abs(direction[2]) ? 1 : 2);
     const double step = pick(direction, axis), of_first = pick(first, axis) / step, of_last = pick(last, axis) / step,
                  of_opposite = pick(opposite, axis) / step;
-    const double slope = wp::dot(normal, direction);
+    const double slope = dot_of(normal, direction);
     if (slope != 0.0) {
-        t = wp::dot(normal, opposite) / slope;
+        t = dot_of(normal, opposite) / slope;
     } else {
         // Seen along the ray: the point of the edge that is closest to it.
-        const double along2 = wp::dot(direction, direction);
-        const point seen = edge - direction * (wp::dot(edge, direction) / along2);
-        const double seen2 = wp::dot(seen, seen), share = seen2 > 0.0 ? -wp::dot(first, seen) / seen2 : 0.5;
-        t = of_first + wp::min(wp::max(share, 0.0), 1.0) * (of_last - of_first);
+        const double along2 = dot_of(direction, direction);
+        const point seen = minus_scaled(edge, direction, dot_of(edge, direction) / along2);
+        const double seen2 = dot_of(seen, seen), share = seen2 > 0.0 ? -dot_of(first, seen) / seen2 : 0.5;
+        t = plus(of_first, product(wp::min(wp::max(share, 0.0), 1.0), of_last - of_first));
     }
     t = wp::max(t, wp::min(wp::min(of_first, of_last), of_opposite));
     t = wp::min(t, wp::max(wp::max(of_first, of_last), of_opposite));
     const double weight_o = o == 0 ? 1.0 - v - w : o == 1 ? v : w;
-    const double along = (wp::dot(direction * t - first, edge) + weight_o * wp::dot(e, edge)) / length2;
+    const double along =
+        plus(-dot_of(minus_scaled(first, direction, t), edge), product(weight_o, dot_of(e, edge))) / length2;
     const double weight_j = wp::min(wp::max(along, 0.0), 1.0 - weight_o);
     const double weight_i = 1.0 - weight_o - weight_j;
     v = o == 1 ? weight_o : i == 1 ? weight_i : weight_j;

@@ -71,28 +71,30 @@ static constexpr auto walk_rays = [](const SurfaceTree& tree, const wp::array_t<
                 sz = (float)(from[2] + r.enter * along[2]);
     const float tx = (float)along[0], ty = (float)along[1], tz = (float)along[2];
     const float ox = -sx * ix, oy = -sy * iy, oz = -sz * iz;
+    // Fused explicitly: modules of the user's may not let the compiler do so.
     // Distance at which the ray enters a box, or infinity.
     auto entry_of = [&](float lx, float ly, float lz, float ux, float uy, float uz) {
-        const float x0 = lx * ix + ox, x1 = ux * ix + ox, y0 = ly * iy + oy, y1 = uy * iy + oy;
-        const float z0 = lz * iz + oz, z1 = uz * iz + oz;
+        const float x0 = fmaf(lx, ix, ox), x1 = fmaf(ux, ix, ox), y0 = fmaf(ly, iy, oy), y1 = fmaf(uy, iy, oy);
+        const float z0 = fmaf(lz, iz, oz), z1 = fmaf(uz, iz, oz);
         const float in = fmaxf(fmaxf(fminf(x0, x1), fminf(y0, y1)), fmaxf(fminf(z0, z1), 0.f));
         const float out = fminf(fminf(fmaxf(x0, x1), fmaxf(y0, y1)), fminf(fmaxf(z0, z1), r.last));
         return in <= out ? in : (float)INFINITY;
     };
+    auto dot = [](float a, float b, float c, float x, float y, float z) { return fmaf(a, x, fmaf(b, y, c * z)); };
     // Multiplied by dz, with signs such that dz is positive: grazing rays lose no digits in a division.
     auto may_hit = [&](int slot) {
         const float4* row = (const float4*)(tree.leaves.data + SLOT_WORDS * slot);
         const float4 r0 = row[0], r1 = row[1], r2 = row[2], r3 = row[3];
         const float ax = sx - r0.x, ay = sy - r0.y, az = sz - r0.z;
-        const float oz = ax * r2.y + ay * r2.z + az * r2.w, dz = tx * r2.y + ty * r2.z + tz * r2.w;
+        const float oz = dot(ax, ay, az, r2.y, r2.z, r2.w), dz = dot(tx, ty, tz, r2.y, r2.z, r2.w);
         const float depth = dz < 0.f ? oz : -oz, down = fabsf(dz);
-        if (!(depth >= -PLANE_MARGIN && depth <= r.last * down + PLANE_MARGIN)) return false;
-        const float ox = ax * r0.w + ay * r1.x + az * r1.y, dx = tx * r0.w + ty * r1.x + tz * r1.y;
-        const float oy = ax * r1.z + ay * r1.w + az * r2.x, dy = tx * r1.z + ty * r1.w + tz * r2.x;
-        const float x = ox * down + dx * depth, y = oy * down + dy * depth;
+        if (!(depth >= -PLANE_MARGIN && depth <= fmaf(r.last, down, PLANE_MARGIN))) return false;
+        const float ox = dot(ax, ay, az, r0.w, r1.x, r1.y), dx = dot(tx, ty, tz, r0.w, r1.x, r1.y);
+        const float oy = dot(ax, ay, az, r1.z, r1.w, r2.x), dy = dot(tx, ty, tz, r1.z, r1.w, r2.x);
+        const float x = fmaf(ox, down, dx * depth), y = fmaf(oy, down, dy * depth);
         const float longest = r3.x, cx = r3.y, cy = r3.z, margin = -PLANE_MARGIN * longest;
-        return y >= -PLANE_MARGIN && cy * x - cx * y >= margin
-               && (cx - longest) * y - cy * (x - longest * down) >= margin;
+        return y >= -PLANE_MARGIN && fmaf(cy, x, -cx * y) >= margin
+               && fmaf(cx - longest, y, -cy * fmaf(-longest, down, x)) >= margin;
     };
     int stack[64], node = tree.children.data[0];
     float entry[64];

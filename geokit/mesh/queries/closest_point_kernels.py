@@ -17,6 +17,44 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 REGISTERS = 80
 
 
+@wp.struct
+class ClosestPoint:
+    """The closest point of a surface. A miss has triangle_id -1, an infinite distance, and NaN elsewhere.
+
+    Attributes:
+        point: The closest point [world].
+        distance: The distance to it [world]; that of :func:`geokit.kernels.signed_distance` is negative inside.
+        triangle_id: The triangle that it lies on.
+        barycentric: Weights of the triangle's corners there.
+    """
+
+    point: wp.vec3d
+    distance: wp.float64
+    triangle_id: int
+    barycentric: wp.vec3d
+
+
+@wp.func
+def closest_in_slot(tree: SurfaceTree, p: wp.vec3d, slot: int) -> ClosestPoint:
+    """The closest point of the triangle in a slot; a miss for -1."""
+    none = wp.float64(wp.nan)
+    found = ClosestPoint()
+    found.point = wp.vec3d(none, none, none)
+    found.distance = wp.float64(wp.inf)
+    found.triangle_id = -1
+    found.barycentric = found.point
+    if slot >= 0:
+        a = tree.corners[3 * slot]
+        b = tree.corners[3 * slot + 1]
+        c = tree.corners[3 * slot + 2]
+        weights = closest_on_triangle(p, a, b, c)
+        found.point = a + weights[1] * (b - a) + weights[2] * (c - a)
+        found.distance = wp.length(offset_from_triangle(p, a, b, c, weights))
+        found.triangle_id = tree.slot_triangle[slot]
+        found.barycentric = weights
+    return found
+
+
 @wp.func
 def put_closest(
     i: int,
@@ -37,21 +75,11 @@ def put_closest(
     else:
         slot = int(-1)
         out_nonfinite[0] = 1
-    if slot < 0:
-        none = wp.float64(wp.nan)
-        out_points[i] = wp.vec3d(none, none, none)
-        out_distance[i] = wp.float64(wp.inf)
-        out_triangle_id[i] = -1
-        out_barycentric[i] = wp.vec3d(none, none, none)
-    else:
-        a = tree.corners[3 * slot]
-        b = tree.corners[3 * slot + 1]
-        c = tree.corners[3 * slot + 2]
-        barycentric = closest_on_triangle(p, a, b, c)
-        out_points[i] = a + barycentric[1] * (b - a) + barycentric[2] * (c - a)
-        out_distance[i] = wp.length(offset_from_triangle(p, a, b, c, barycentric))
-        out_triangle_id[i] = tree.slot_triangle[slot]
-        out_barycentric[i] = barycentric
+    found = closest_in_slot(tree, p, slot)
+    out_points[i] = found.point
+    out_distance[i] = found.distance
+    out_triangle_id[i] = found.triangle_id
+    out_barycentric[i] = found.barycentric
     return slot
 
 

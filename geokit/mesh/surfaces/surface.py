@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     import warp as wp
     from numpy.typing import ArrayLike
 
+    from geokit.mesh.surfaces.user_kernels import Surface as InKernels
     from geokit.mesh.topology.audit import MeshAudit
 
 __all__ = ["Surface"]
@@ -278,7 +279,7 @@ class Surface(SignQueries, RayQueries, DistanceQueries):
         """
         return int(self._warp_mesh.id)
 
-    def on_kernel(self, sign: str | None = "auto") -> Any:
+    def on_kernel(self, sign: str | None = "auto") -> InKernels:
         """The surface for the user's own kernels, which call :mod:`geokit.kernels` on it: exact, with the calls' bits.
 
         Unlike :attr:`id` it keeps what it refers to alive, and shows the surface as it is now: ask again after

@@ -7,11 +7,11 @@ import warp as wp
 from geokit.core import cpp
 from geokit.core.interop.user_arrays_kernels import is_measurable
 from geokit.mesh.bvh.bvh2_ray_candidates_cuda_kernels import ANY_HIT_CANDIDATES, CANDIDATES, IS_SLIVER, SURE
-from geokit.mesh.bvh.closest_on_triangle_kernels import closest_on_triangle, offset_from_triangle
 from geokit.mesh.bvh.nearest_kernels import nearest_slot
 from geokit.mesh.bvh.ray_walk_kernels import SHORTEST_DIRECTION, WALK_CONSTANTS, is_usable, length_in_t
 from geokit.mesh.bvh.tree_kernels import LEFT_OVER, NO_CANDIDATE, UNDECIDED, SurfaceTree
 from geokit.mesh.bvh.winding_kernels import WindingTree, is_inside, winding_number_at
+from geokit.mesh.queries.closest_point_kernels import ClosestPoint, closest_in_slot
 from geokit.mesh.queries.foot_slopes_kernels import SlopedFaces, corners_of, foot_slopes
 from geokit.mesh.queries.hit_slopes_kernels import hit_slope
 from geokit.mesh.sign.pseudonormals_kernels import Pseudonormals, is_behind
@@ -24,7 +24,7 @@ INFINITE = wp.constant(wp.float64(wp.inf))
 NAN = wp.constant(wp.float64(wp.nan))
 ZERO = wp.constant(wp.float64(0.0))
 
-_CONSTANTS = {
+_RAYS = {
     # One ray at a time, in queues that are read in eights.
     **(WALK_CONSTANTS | {"IN_FLIGHT": 8}),
     "CROSSINGS": False,
@@ -56,23 +56,6 @@ class Surface:
 
 
 @wp.struct
-class ClosestPoint:
-    """The closest point of a surface. A miss has triangle_id -1, an infinite distance, and NaN elsewhere.
-
-    Attributes:
-        point: The closest point [world].
-        distance: The distance to it [world]; that of :func:`signed_distance` is negative inside.
-        triangle_id: The triangle that it lies on.
-        barycentric: Weights of the triangle's corners there.
-    """
-
-    point: wp.vec3d
-    distance: wp.float64
-    triangle_id: int
-    barycentric: wp.vec3d
-
-
-@wp.struct
 class RayHit:
     """The first hit of a ray. A miss has triangle_id -1, an infinite t, and NaN elsewhere.
 
@@ -87,49 +70,22 @@ class RayHit:
     barycentric: wp.vec3d
 
 
-@cpp.func_native("mesh/surfaces/user_rays.inl", **_CONSTANTS, UNORDERED=False, CANDIDATES=CANDIDATES)
-def cast_ray(
-    tree: SurfaceTree,
-    origin: wp.vec3d,
-    direction: wp.vec3d,
-    t_min: wp.float64,
-    t_max: wp.float64,
-    max_distance: wp.float64,
-) -> wp.vec4d: ...
+@cpp.func_native("mesh/surfaces/user_rays.inl", SurfaceTree, **_RAYS, UNORDERED=False, CANDIDATES=CANDIDATES)
+def cast_ray() -> wp.vec4d: ...
 
 
-@cpp.func_native("mesh/surfaces/user_rays.inl", **_CONSTANTS, UNORDERED=True, CANDIDATES=ANY_HIT_CANDIDATES)
-def test_ray(
-    tree: SurfaceTree,
-    origin: wp.vec3d,
-    direction: wp.vec3d,
-    t_min: wp.float64,
-    t_max: wp.float64,
-    max_distance: wp.float64,
-) -> bool: ...
+@cpp.func_native(
+    "mesh/surfaces/user_rays.inl", SurfaceTree, **_RAYS, UNORDERED=True, CANDIDATES=ANY_HIT_CANDIDATES
+)
+def test_ray() -> bool: ...
 
 
 @wp.func
 def closest_in_tree(tree: SurfaceTree, point: wp.vec3d, max_distance: wp.float64) -> ClosestPoint:
-    found = ClosestPoint()
     slot = int(-1)
     if is_measurable(point):
         slot = nearest_slot(tree, point, max_distance * max_distance, -1)
-    if slot < 0:
-        found.point = wp.vec3d(NAN, NAN, NAN)
-        found.distance = INFINITE
-        found.triangle_id = -1
-        found.barycentric = wp.vec3d(NAN, NAN, NAN)
-    else:
-        a = tree.corners[3 * slot]
-        b = tree.corners[3 * slot + 1]
-        c = tree.corners[3 * slot + 2]
-        weights = closest_on_triangle(point, a, b, c)
-        found.point = a + weights[1] * (b - a) + weights[2] * (c - a)
-        found.distance = wp.length(offset_from_triangle(point, a, b, c, weights))
-        found.triangle_id = tree.slot_triangle[slot]
-        found.barycentric = weights
-    return found
+    return closest_in_slot(tree, point, slot)
 
 
 @wp.func
@@ -190,18 +146,13 @@ def slope_of_foot(
     """The slope of a point, from those of its answer; 0 for a miss."""
     slope = wp.vec3d()
     if found.triangle_id >= 0:
+        mesh = surface.faces
+        face = found.triangle_id
+        on = corners_of(mesh, face)
+        weights = found.barycentric
+        d = found.distance
         slope, _ = foot_slopes(
-            surface.faces,
-            corners_of(surface.faces, found.triangle_id),
-            surface.faces.scale,
-            is_signed,
-            found.triangle_id,
-            point,
-            found.barycentric,
-            found.distance,
-            by.distance,
-            by.point,
-            by.barycentric,
+            mesh, on, mesh.scale, is_signed, face, point, weights, d, by.distance, by.point, by.barycentric
         )
     return slope
 

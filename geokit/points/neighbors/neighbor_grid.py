@@ -46,6 +46,8 @@ from geokit.points.search.verlet import VerletLists
 if TYPE_CHECKING:
     import warp as wp
 
+    from geokit.points.neighbors.user_kernels import NeighborGrid as InKernels
+
 __all__ = ["Candidates", "KNearest", "NeighborBlock", "NeighborGrid", "NeighborList", "Neighbors", "Pairs"]
 
 # Cells are reused for query radii that differ from theirs by at most this factor: at worst 6 x 6 rows of cells are
@@ -395,7 +397,7 @@ class NeighborGrid:
                 self._hash_grid = _hash_grid_of(self._points(), self._radius or self._spacing or 1.0)
             return int(self._hash_grid[0].id)
 
-    def on_kernel(self) -> Any:
+    def on_kernel(self) -> InKernels:
         """The points for the user's own kernels, which call :mod:`geokit.kernels` on them: exact, as the searches.
 
         Unlike :attr:`id` it needs no memory of its own, keeps what it refers to alive, and shows the points as they are

@@ -11,21 +11,27 @@ from geokit.core import launcher
 from geokit.core.base.query import FIRST_ALONE
 from geokit.core.interop.types import Array, Devices, Rows
 from geokit.core.interop.user_arrays import read_vectors
+from geokit.core.memory.struct_array import handed_out
 from geokit.core.query.ask import query
 from geokit.core.require import described, whole_number
 from geokit.errors import InputError, UnsupportedGridError
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.types import COMPONENTS, INDEX_TYPES
 from geokit.volume.retyped.from_channel import from_channel
-from geokit.volume.sampling.space import query_inputs, require_space
+from geokit.volume.sampling.leaf_table import leaf_table
+from geokit.volume.sampling.space import query_inputs, require_space, world_to_index
 from geokit.volume.sampling.trilinear_table import gradient_linear, sample_linear
 from geokit.volume.tree.leaves import require_volume
 
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["gradient", "is_scalar", "require_order", "sample", "valued", "view_as"]
+    from geokit.volume.at_points.user_kernels import SparseVolume as InKernels
 
+__all__ = ["gradient", "is_scalar", "on_kernel", "require_order", "sample", "view_as"]
+
+# A kernel may ask any number of points: the table that saves each of them some time is made at once.
+MANY = 1 << 40
 ORDERS = {0: "nearest voxel", 1: "trilinear", 2: "triquadratic", 3: "tricubic"}
 
 
@@ -34,7 +40,7 @@ def _require_placeable(volume: Any, *, space: str = "world", channel: int | str 
     require_space(space)
     if space != "world":
         raise InputError("space: index coordinates move with the volume; beside transform give world points")
-    values = valued(require_volume(volume, "volume"), channel).info.grid_type
+    values = _valued(require_volume(volume, "volume"), channel).info.grid_type
     if COMPONENTS.get(values, 1) != 1:
         raise InputError(
             f"transform: vectors of type {values} may have to turn too; move the points, and turn the values"
@@ -196,12 +202,34 @@ def gradient(
     return batch.to_caller(view_as(out, wp.vec3d, (count,)) if components == 1 else out)
 
 
+def on_kernel(volume: SparseVolume, device: Any) -> InKernels:
+    """:meth:`geokit.volume.SparseVolume.on_kernel`."""
+    import warp as wp
+
+    from geokit.volume.at_points.user_kernels import SparseVolume as InKernels
+
+    volume, _, components, target = _checked(volume, 1, "world", None, device)
+    if components != 1:
+        raise UnsupportedGridError(
+            f"volume: grid {volume.info.name!r} of type {volume.info.grid_type} does not hold numbers, which kernels "
+            "sample; use volume.sample, or a volume of one component"
+        )
+    found: Any = InKernels()
+    found.grid = wp.uint64(volume.id(target))
+    table = leaf_table(volume, target, MANY)
+    if table is not None:
+        found.table = table
+    found.origin, found.to_index = world_to_index(volume)
+    found.background = wp.float64(volume.info.background)
+    return handed_out(found, target, volume)
+
+
 def _checked(volume: Any, order: Any, space: Any, channel: Any, device: Any) -> tuple[SparseVolume, int, int, Any]:
     """The volume whose values are asked for, the order, the number of components, and the device."""
     require_volume(volume, "volume")
     order = require_order((volume.info.order or 1) if order is None else order)
     require_space(space)
-    volume = valued(volume, channel)
+    volume = _valued(volume, channel)
     return volume, order, _require_components(volume), launcher.resolve_device(device)
 
 
@@ -214,7 +242,7 @@ def _is_staggered(volume: SparseVolume) -> bool:
     return volume.info.grid_class == "staggered" and COMPONENTS[volume.info.grid_type] == 3
 
 
-def valued(volume: SparseVolume, channel: int | str | None) -> SparseVolume:
+def _valued(volume: SparseVolume, channel: int | str | None) -> SparseVolume:
     """The volume itself, or for an index grid the volume of values of one channel."""
     if channel is None and volume.info.grid_type not in INDEX_TYPES:
         return volume

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from geokit.volume._dense import DenseGrid
     from geokit.volume._integrate import Transmittance
     from geokit.volume._raycast import VolumeHits
+    from geokit.volume.at_points.user_kernels import SparseVolume as InKernels
 
 __all__ = ["SparseVolume"]
 
@@ -79,7 +80,7 @@ class SparseVolume:
         return int(self.on(device).id)
 
     @needs()
-    def on_kernel(self, device: Devices = None) -> Any:
+    def on_kernel(self, device: Devices = None) -> InKernels:
         """The volume for the user's own kernels, which call :mod:`geokit.kernels` on it, with the calls' bits.
 
         Unlike :meth:`id` it reads every grid of numbers, quantized ones too, and keeps what it refers to alive.
@@ -93,7 +94,7 @@ class SparseVolume:
             FileFormatError: The buffer is not a valid grid.
             UnsupportedGridError: The grid holds vectors or points.
         """
-        from geokit.volume.at_points.on_kernel import on_kernel
+        from geokit.volume.at_points.sample import on_kernel
 
         return on_kernel(self, device)
 
