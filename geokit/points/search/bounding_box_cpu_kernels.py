@@ -16,12 +16,7 @@ SHARE = wp.constant(1 << 10)
 
 @wp.kernel
 @cpp.native_item("points/search/bounding_box_cpu.inl", "box_of", SHARE=int(SHARE))
-def survey_host_kernel(
-    first: int,
-    points: wp.array(dtype=Any),
-    out_lower: wp.array(dtype=wp.vec3d),
-    out_upper: wp.array(dtype=wp.vec3d),
-):
+def survey_host_kernel(first: int, points: wp.array(dtype=Any)):
     """Bounding box of each run of SHARE consecutive points; it is not finite if one of its points is not."""
 
 

@@ -22,15 +22,7 @@ GATHERED = wp.constant(1 << 12)
 
 @wp.kernel
 @cpp.native_item("points/search/cells_cpu.inl", "count", GATHERED=int(GATHERED))
-def count_kernel(
-    first: int,
-    points: wp.array(dtype=Any),
-    grid: CellGrid,
-    share: wp.int32,
-    cell_count: wp.int32,
-    out_key: wp.array(dtype=wp.int32),
-    out_counts: wp.array(dtype=wp.int32),
-):
+def count_kernel(first: int, points: wp.array(dtype=Any), grid: CellGrid):
     """Cell of each point of a share, and the number of the share's points in each cell."""
 
 

@@ -71,8 +71,8 @@ static constexpr auto count_plane = [](const Cells& cells, const wp::array_t<int
 
 // Places the vertices of a plane's edges. Returns false if some are left because an end lies in a tile.
 static constexpr auto place_vertices = [](const Cells& cells, int plane, const wp::array_t<uint64_t>& records,
-                                          const wp::array_t<int>& base, const auto& linear, const auto& offset,
-                                          wp::array_t<wp::vec3d>& vertex) -> bool {
+                                          const wp::array_t<int>& base, const wp::mat33d& linear,
+                                          const wp::vec3d& offset, wp::array_t<wp::vec3d>& vertex) -> bool {
     const int block = cells.crossed.data[plane >> 3], x = plane & 7;
     const u64* record = records.data + 3ll * plane;
     const wp::vec3i& first = cells.origin.data[block];
@@ -105,7 +105,8 @@ static constexpr auto place_vertices = [](const Cells& cells, int plane, const w
 // Places the vertex of one edge from the values at its ends, relative to the isovalue.
 static constexpr auto place_vertex = [](const Cells& cells, int plane, int bit, int axis, double low, double high,
                                         const wp::array_t<uint64_t>& records, const wp::array_t<int>& base,
-                                        const auto& linear, const auto& offset, wp::array_t<wp::vec3d>& vertex) {
+                                        const wp::mat33d& linear, const wp::vec3d& offset,
+                                        wp::array_t<wp::vec3d>& vertex) {
     const u64* record = records.data + 3ll * plane;
     long long at = base.data[plane] + count_bits(record[axis] & ((1ull << bit) - 1));
     for (int before = 0; before < axis; ++before) at += count_bits(record[before]);

@@ -34,33 +34,13 @@ def count_plane() -> int:
 
 
 @cpp.func_native("volume/isosurface/marching_cubes.inl", END=END)
-def place_vertices(
-    cells: Cells,
-    plane: int,
-    records: wp.array(dtype=wp.uint64),
-    base: wp.array(dtype=int),
-    linear: wp.mat33d,
-    offset: wp.vec3d,
-    vertex: wp.array(dtype=wp.vec3d),
-) -> bool:
+def place_vertices(cells: Cells) -> bool:
     """Places the vertices of a plane's edges; returns False if some are left because an end lies in a tile."""
     ...
 
 
 @cpp.func_native("volume/isosurface/marching_cubes.inl", END=END)
-def place_vertex(
-    cells: Cells,
-    plane: int,
-    bit: int,
-    axis: int,
-    low: wp.float64,
-    high: wp.float64,
-    records: wp.array(dtype=wp.uint64),
-    base: wp.array(dtype=int),
-    linear: wp.mat33d,
-    offset: wp.vec3d,
-    vertex: wp.array(dtype=wp.vec3d),
-):
+def place_vertex(cells: Cells):
     """Places the vertex of one edge from the values at its ends, relative to the isovalue."""
     ...
 

@@ -23,14 +23,7 @@ NUMBERS = {"RECORD": RECORD, "QUADS_SHIFT": QUADS_SHIFT}
 
 
 @cpp.func_native("volume/isosurface/surface_nets_cases.inl", **NUMBERS)
-def count_plane(
-    cells: Cells,
-    table: wp.array(dtype=wp.uint32),
-    flips: wp.array(dtype=wp.uint64),
-    plane: int,
-    records: wp.array(dtype=wp.uint64),
-    problems: wp.array(dtype=wp.uint64),
-) -> int:
+def count_plane(cells: Cells) -> int:
     """Counts the vertices and quads of a plane, with flags; writes bit masks of its cells by number of sheets."""
     ...
 
