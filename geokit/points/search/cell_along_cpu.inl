@@ -2,7 +2,7 @@
 #pragma once
 
 // Equal to the result of cell_along in cells_kernels.
-static constexpr auto cell_along = [](const CellGrid& cells, int axis, double at) -> int {
+static constexpr auto cell_along = [](const auto& cells, int axis, double at) -> int {
     int i = cells.first_cut[axis];
     for (int last = cells.last_cut[axis]; i < last;) {
         const int middle = (i + last + 1) / 2;
@@ -15,7 +15,7 @@ static constexpr auto cell_along = [](const CellGrid& cells, int axis, double at
 };
 
 // Puts the fields of a group in place of the grid's own; `entered` is the group whose fields `cells` has.
-static constexpr auto enter = [](const CellGrid& grid, int group, CellGrid& cells, int& entered) {
+static constexpr auto enter = [](const auto& grid, int group, auto& cells, int& entered) {
     if (group == entered) return;
     entered = group;
     const auto& own = grid.groups.data[group];

@@ -137,7 +137,7 @@ def survey_kernel(
     out_lower: wp.array(dtype=wp.vec3d),
     out_upper: wp.array(dtype=wp.vec3d),
 ):
-    """Bounding boxes of ``run_count`` shares of the points on a GPU; for a CPU see bounding_box_cpu_kernels.
+    """Bounding boxes of ``run_count`` shares of the points on a GPU; for a CPU see cells_cpu_kernels.
 
     The points of a share are ``run_count`` apart, so that adjacent threads read adjacent points. A box is not finite if
     one of its points is not.

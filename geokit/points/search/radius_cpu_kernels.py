@@ -56,5 +56,11 @@ def fill_share_kernel(first: int, queries: Queries, grid: CellGrid, out_distance
     """Neighbors of SHARE queries, each written from its offset on, by ascending index or in the order of the cells."""
 
 
+@wp.kernel
+@cpp.native_item("points/search/radius_cpu.inl", "list_places", Queries, CellGrid, **NUMBERS)
+def list_kernel(first: int):
+    """For Verlet lists: places of the candidates of SHARE points each, by ascending rank, which is ``grid.index``."""
+
+
 # By type of the distances: with float32 a third less is written.
 FILL_OF = {r: wp.overload(fill_share_kernel, {"out_distance": wp.array(dtype=r)}) for r in (wp.float64, wp.float32)}

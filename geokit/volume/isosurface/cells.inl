@@ -1,5 +1,5 @@
 // The planes of leaves, their neighbors, and which blocks have crossed cells: see cells_kernels, and of blocks of tiles
-// tile_border_cells_kernels.
+// cells_kernels.
 #include "volume/isosurface/blocks.inl"
 
 // Writes the eight planes of a leaf: bit masks of the voxels below the limit.
