@@ -1,6 +1,6 @@
 // Bounding boxes and counting sort of points by cell on a CPU.
 #include "core/simd.inl"
-#include "points/search/cell_along_cpu.inl"
+#include "points/search/cell_along.inl"
 
 // First step: the cell of each point of a share, and the number of the share's points in each cell.
 static constexpr auto count = [](int item, const auto& points, const auto& grid, int share, int cell_count,

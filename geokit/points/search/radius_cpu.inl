@@ -1,6 +1,6 @@
 // Radius search on a CPU: runs of queries in one cell, with the surrounding candidates in a buffer.
 #include "core/simd.inl"
-#include "points/search/cell_along_cpu.inl"
+#include "points/search/cell_along.inl"
 #include "points/search/sort_rows.inl"
 
 constexpr int most_queries = 32, room = 1024;
