@@ -48,9 +48,9 @@ class Leaves:
             arrays, along x, y and z, each addressed by 12 bits of a key, or one (U, 3) addressed by all 36 bits.
     """
 
-    keys: "wp.array"
+    keys: "wp.array | HostArray"
     tiles: "wp.array"
-    rows: "wp.array"
+    rows: "wp.array | HostArray"
     axes: tuple[NDArray[np.int64], ...] | NDArray[np.int64]
 
     @cached_property
