@@ -59,32 +59,14 @@ def lower_at(volume: wp.uint64, grid_type: int, tree: Tree, i: int, j: int, k: i
 
 
 @cpp.func_native("volume/isosurface/cells.inl")
-def link_leaf(cells: Cells, tree: Tree, leaf: int) -> int:
-    """Finds the blocks above a leaf; returns the tiles below it that may have crossed cells, a bit per direction."""
-    ...
-
-
-@cpp.func_native("volume/isosurface/cells.inl")
 def leaf_at(cells: Cells, tree: Tree, node: wp.uint64) -> int:
     """The number of a leaf, from its node as node_of returns it."""
     ...
 
 
 @cpp.func_native("volume/isosurface/cells.inl")
-def tile_border(cells: Cells, tree: Tree, lower: int, slot: int) -> int:
-    """The active tile in a slot and the tiles below it that may have crossed cells, a bit per direction."""
-    ...
-
-
-@cpp.func_native("volume/isosurface/cells.inl")
 def find_border_block(cells: Cells, border_count: int, i: int, j: int, k: int) -> int:
     """The border block that starts at a voxel, -1 for none."""
-    ...
-
-
-@cpp.func_native("volume/isosurface/cells.inl")
-def is_mixed(cells: Cells, block: int) -> bool:
-    """Whether the corners of a block's cells are not all on the same side."""
     ...
 
 
@@ -171,30 +153,17 @@ def lower_neighbors_kernel(
 
 
 @wp.kernel
-def link_kernel(
-    first: int,
-    cells: Cells,
-    tree: Tree,
-    out_below: wp.array(dtype=wp.uint8),
-    out_some: wp.array(dtype=int),
-    out_mixed: wp.array(dtype=int),
-):
+@cpp.native_item("volume/isosurface/cells.inl", "link_leaf")
+def link_kernel(first: int, cells: Cells, tree: Tree):
     """Finds the blocks above each leaf, the tiles below it that may have crossed cells, and whether there are any.
 
     If there are none, out_mixed equals that of mixed_kernel.
     """
-    leaf = first + wp.tid()
-    below = link_leaf(cells, tree, leaf)
-    out_below[leaf] = wp.uint8(below)
-    if below != 0:
-        out_some[0] = 1
-    out_mixed[leaf] = int(is_mixed(cells, leaf))
 
 
 @wp.kernel
-def mixed_kernel(first: int, cells: Cells, out_mixed: wp.array(dtype=int)):
-    block = first + wp.tid()
-    out_mixed[block] = int(is_mixed(cells, block))
+@cpp.native_item("volume/isosurface/cells.inl", "mark_mixed")
+def mixed_kernel(first: int, cells: Cells): ...
 
 
 @wp.kernel
@@ -253,16 +222,8 @@ def keep_used_kernel(
 
 # Border blocks: blocks of tiles, beside leaves or other tiles, with crossed cells.
 @wp.kernel
-def tile_border_kernel(
-    first: int,
-    cells: Cells,
-    tree: Tree,
-    lower: wp.array(dtype=int),
-    slot: wp.array(dtype=int),
-    out_below: wp.array(dtype=wp.uint8),
-):
-    tile = first + wp.tid()
-    out_below[tile] = wp.uint8(tile_border(cells, tree, lower[tile], slot[tile]))
+@cpp.native_item("volume/isosurface/cells.inl", "mark_tile_border")
+def tile_border_kernel(first: int, cells: Cells, tree: Tree): ...
 
 
 @wp.kernel

@@ -43,10 +43,11 @@ static constexpr auto point_on = [](const auto& linear, const auto& offset, cons
     return point;
 };
 
-// Counts the vertices and triangles of a plane, and writes bit masks of its crossed edges. Returns the counts and a
-// flag, packed into one word.
+// Counts the vertices and triangles of a plane, and writes bit masks of its crossed edges; the flag says that some edges
+// are dead. All threads that write it write the same value.
 static constexpr auto count_plane = [](const Cells& cells, const wp::array_t<int>& start, const wp::array_t<int>& edges,
-                                       int plane, wp::array_t<uint64_t>& records) -> int {
+                                       int plane, wp::array_t<uint64_t>& records, wp::array_t<int>& out_vertices,
+                                       wp::array_t<int>& out_triangles, wp::array_t<int>& out_flag) {
     u64 c[8], a[8], any, all;
     read_cubes(cells, plane, c, a, any, all);
     const u64 dead = dead_edges(c, a);
@@ -66,7 +67,16 @@ static constexpr auto count_plane = [](const Cells& cells, const wp::array_t<int
             triangles += start.data[code + 1] - start.data[code];
         }
     }
-    return vertices | triangles << 16 | (dead ? 1 << 30 : 0);
+    out_vertices.data[plane] = vertices;
+    out_triangles.data[plane] = triangles;
+    if (dead) out_flag.data[0] = 1;
+};
+static constexpr auto count_planes = [](int item, int span, const Cells& cells, const wp::array_t<int>& start,
+                                        const wp::array_t<int>& edges, wp::array_t<uint64_t>& records,
+                                        wp::array_t<int>& out_vertices, wp::array_t<int>& out_triangles,
+                                        wp::array_t<int>& out_flag) {
+    for (int plane = span * item; plane < span * (item + 1); ++plane)
+        count_plane(cells, start, edges, plane, records, out_vertices, out_triangles, out_flag);
 };
 
 // Places the vertices of a plane's edges. Returns false if some are left because an end lies in a tile.
