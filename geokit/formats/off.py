@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from geokit.errors import FileFormatError
 from geokit.formats.file_content.body import Body
-from geokit.formats.text import point_lines
+from geokit.formats.text_files.decimal import written_lines
 from geokit.formats.text_files.plain import plain_text
 from geokit.formats.text_files.words import numbers
 from geokit.mesh.model.data import full_scale
@@ -171,19 +171,12 @@ def write_mesh(path: Path, mesh: TriangleMesh) -> None:
     """Write text that reads back as the same float64 vertices; colors of 8 bits as whole numbers, others as floats."""
     data = {name: mesh.vertex_data[name] for name in ("normal", "color", "uv") if name in mesh.vertex_data}
     kind = "ST" * ("uv" in data) + "C" * ("color" in data) + "N" * ("normal" in data)
-    with open(path, "w", encoding="ascii", newline="\n") as file:
-        file.write(f"{kind}OFF\n{len(mesh.vertices)} {len(mesh.faces)} 0\n")
-        if data:
-            tables = [mesh.vertices, *(_written(values) for values in data.values())]
-            rows = zip(*(table.tolist() for table in tables), strict=True)
-            file.writelines(" ".join(repr(number) for part in row for number in part) + "\n" for row in rows)
-        else:
-            file.writelines(point_lines(mesh.vertices))
-        if "color" in mesh.face_data:
-            both = zip(mesh.faces.tolist(), _written(mesh.face_data["color"]).tolist(), strict=True)
-            file.writelines(f"3 {' '.join(map(repr, [*face, *color]))}\n" for face, color in both)
-        else:
-            file.writelines(f"3 {a} {b} {c}\n" for a, b, c in mesh.faces.tolist())
+    vertex = [mesh.vertices, *(_written(values) for values in data.values())]
+    face = [mesh.faces, *(_written(mesh.face_data[name]) for name in ("color",) if name in mesh.face_data)]
+    with open(path, "wb") as file:
+        file.write(f"{kind}OFF\n{len(mesh.vertices)} {len(mesh.faces)} 0\n".encode("ascii"))
+        file.writelines(written_lines(*vertex))
+        file.writelines(written_lines(*face, prefix="3 "))
 
 
 def _written(values: NDArray[Any]) -> NDArray[Any]:
