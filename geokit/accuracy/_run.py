@@ -10,7 +10,7 @@ from geokit.accuracy._subjects import default_subjects, unique_names
 from geokit.accuracy.trials.machine import machine_facts, version_facts
 from geokit.accuracy.trials.measuring import measure
 from geokit.accuracy.trials.results import Failure, Results, info_of
-from geokit.accuracy.trials.time_left import time_left
+from geokit.accuracy.trials.running import time_left
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_callable, require_flag, require_items
 from geokit.errors import InputError

@@ -40,14 +40,15 @@ def func_native(
 ) -> Callable[[Callable[..., Any]], wp.Function]:
     """Decorator of a function that calls the C++ function of its name, or of another name, in a file.
 
-    The C++ function has the parameters of the declaration. A declaration without any has those of the C++ function,
-    which then says their types; its arrays have one dimension. Structs have their names in Python; those that are in no
-    parameter of the declaration are ``auto``. CUDA does not compile what a file that ends in ``_cpu.inl`` holds. Warp
-    looks for a decorator of this name above what returns something: write ``@cpp.func_native(...)``.
+    The C++ function has the parameters of the declaration. One that the declaration leaves out has the type that C++
+    says, an array there one dimension; what C++ leaves open (``auto``, other arrays, structs) stands in the declaration
+    by its C++ name. Structs have their names in Python; those that are in no parameter of the declaration are ``auto``.
+    CUDA does not compile what a file that ends in ``_cpu.inl`` holds. Warp looks for a decorator of this name above
+    what returns something: write ``@cpp.func_native(...)``.
 
     Args:
         file: As for :func:`cpp`.
-        structs: Structs among the parameters that the declaration leaves to the C++ function.
+        structs: Structs among the parameters that the declaration leaves out.
         function: Name of the C++ function, if it is not the declaration's.
         defines: As for :func:`cpp`.
         constants: As for :func:`cpp`.
@@ -72,8 +73,8 @@ def func_native(
 def native_item(file: str, function: str, *structs: Any, **given: Any) -> Callable[[Callable[..., Any]], Any]:
     """Decorator, below ``wp.kernel``, of a kernel whose items each call a C++ function in a file.
 
-    The C++ function has the parameters of the kernel, with the item in place of ``first``; a kernel without others has
-    those of the C++ function (:func:`func_native`).
+    The C++ function has the parameters of the kernel, with the item in place of ``first``; the kernel may leave out
+    others (:func:`func_native`).
 
     Args:
         file, structs, given: As for :func:`func_native`.
@@ -99,21 +100,28 @@ def native_item(file: str, function: str, *structs: Any, **given: Any) -> Callab
 
 
 def _complete(declaration: Any, file: str, function: str, structs: tuple[Any, ...]) -> None:
-    """Give a declaration without parameters, or with ``first`` alone, those of a C++ function."""
+    """Give a declaration the parameters of a C++ function that it leaves out, in the order of that function."""
     own = inspect.signature(declaration)
-    parameters = [*own.parameters.values()]
-    if [*own.parameters] not in ([], ["first"]):
-        return
     head = re.search(rf"^static constexpr auto {function} =\s+\[\]\((.*?)\)", _read(file), re.DOTALL | re.MULTILINE)
     assert head, f"{file}: there is no {function}"
+    texts = head[1].split(",")
+    if len(texts) == len(own.parameters):
+        return
+    given = dict(own.parameters)
+    parameters = [given.pop("first")] if "first" in given else []
     known = _TYPES | {struct.key: struct for struct in structs}
-    for text in head[1].split(",")[len(parameters) :]:
+    for text in texts[len(parameters) :]:
         kind, name = text.replace("const ", "").replace("&", "").strip().rsplit(" ", 1)
-        inner = kind.removeprefix("wp::array_t<").removesuffix(">")
-        found = known.get(inner) or getattr(wp, inner.removeprefix("wp::").removesuffix("_t"))
-        annotation = found if inner == kind else wp.array(dtype=found)
-        parameters.append(inspect.Parameter(name, inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation=annotation))
-        declaration.__annotations__[name] = annotation
+        if name not in given:
+            inner = kind.removeprefix("wp::array_t<").removesuffix(">")
+            found = known.get(inner) or getattr(wp, inner.removeprefix("wp::").removesuffix("_t"))
+            annotation = found if inner == kind else wp.array(dtype=found)
+            given[name] = inspect.Parameter(name, inspect.Parameter.POSITIONAL_OR_KEYWORD, annotation=annotation)
+        parameters.append(given.pop(name))
+    assert not given, f"{file}: {function} has no parameter {', '.join(given)}"
+    # Warp takes the order of the parameters from their annotations.
+    types = {parameter.name: parameter.annotation for parameter in parameters}
+    declaration.__annotations__ = types | {k: v for k, v in declaration.__annotations__.items() if k == "return"}
     declaration.__signature__ = own.replace(parameters=parameters)
 
 

@@ -18,6 +18,7 @@ from geokit.formats.attributes.columns import as_columns, from_columns, xml_name
 from geokit.formats.exchange.gmsh import is_gmsh, read_gmsh
 from geokit.formats.exchange.xdmf import read_grid
 from geokit.formats.file_content.body import Body
+from geokit.formats.text_files.decimal import written_lines
 from geokit.mesh.model.data import full_scale, has_meaning
 
 if TYPE_CHECKING:
@@ -136,10 +137,10 @@ def _xdmf_writer() -> Any:
     from meshio.xdmf.main import XdmfWriter
 
     class Writer(XdmfWriter):
-        """Writes float32 with all its digits, of which meshio leaves one out."""
+        """Writes as many digits as a number needs: one more than meshio for float32, most often fewer for float64."""
 
         def numpy_to_xml_string(self, data: Any) -> Any:
-            return super().numpy_to_xml_string(data.astype(np.float64) if data.dtype == np.float32 else data)
+            return "\n" + b"".join(written_lines(data)).decode("ascii")
 
     return Writer
 

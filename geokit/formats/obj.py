@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -16,7 +16,7 @@ from geokit.errors import FileFormatError
 from geokit.formats.attributes import mtl
 from geokit.formats.columns import Columns
 from geokit.formats.file_content.body import Body, FileMaterial
-from geokit.formats.text import point_lines
+from geokit.formats.text_files.decimal import written_lines, written_rows
 from geokit.formats.text_files.plain import plain_text
 from geokit.formats.text_files.words import as_number, numbers
 from geokit.mesh.attributes.seams import distinct_corners
@@ -412,23 +412,20 @@ def write_mesh(path: Path, mesh: TriangleMesh, stem: str = "mesh") -> None:
         above[row] = above.get(row, "") + f"usemtl {material}\n"
     tables = {kind: _table(mesh, name) for kind, name in (("vt", "uv"), ("vn", "normal"))}
     # Names of files that are no UTF-8 become names of meshes.
-    with open(path, "w", encoding="utf-8", errors="replace", newline="\n") as file:
-        if mesh.materials:
-            file.write(f"mtllib {mtl.library_name(stem)}\n")
-        if not names:
-            file.write(f"o {' '.join(mesh.name.split()) or 'mesh'}\n")
-        if "color" in mesh.vertex_data:
-            colors = mesh.vertex_data["color"]
-            rows = np.concatenate([mesh.vertices, colors / full_scale(colors.dtype)], axis=1)
-            file.writelines("v " + " ".join(map(repr, row)) + "\n" for row in rows.tolist())
-        else:
-            file.writelines(point_lines(mesh.vertices, "v "))
+    with open(path, "wb") as file:
+        head = f"mtllib {mtl.library_name(stem)}\n" if mesh.materials else ""
+        head += "" if names else f"o {' '.join(mesh.name.split()) or 'mesh'}\n"
+        file.write(head.encode("utf-8", "replace"))
+        colors = [mesh.vertex_data[name] for name in ("color",) if name in mesh.vertex_data]
+        file.writelines(written_lines(mesh.vertices, *(each / full_scale(each.dtype) for each in colors), prefix="v "))
         for kind, (rows, _) in tables.items():
-            file.writelines(f"{kind} {' '.join(map(repr, row))}\n" for row in rows.tolist())
-        for row, line in enumerate(_face_lines(mesh.faces + 1, tables["vt"][1], tables["vn"][1])):
-            if row in above:
-                file.write(above[row])
-            file.write(line)
+            file.writelines(written_lines(rows, prefix=f"{kind} "))
+        faces = _face_lines(mesh.faces + 1, tables["vt"][1], tables["vn"][1])
+        if above:
+            faces = b"".join(faces).splitlines(keepends=True)
+            for row, text in above.items():
+                faces[row] = text.encode("utf-8", "replace") + faces[row]
+        file.writelines(faces)
 
 
 def _material_lines(mesh: TriangleMesh) -> Iterator[tuple[int, str]]:
@@ -454,17 +451,14 @@ def _table(mesh: TriangleMesh, name: str) -> tuple[NDArray[Any], NDArray[np.int6
     return np.nan_to_num(rows, posinf=np.inf, neginf=-np.inf) if missing.any() else rows, np.where(missing[at], 0, at)
 
 
-def _face_lines(vertex: NDArray[Any], uv: NDArray[np.int64] | None, normal: NDArray[np.int64] | None) -> Iterable[str]:
-    if uv is None and normal is None:
-        return (f"f {a} {b} {c}\n" for a, b, c in vertex.tolist())
+def _face_lines(vertex: NDArray[Any], uv: NDArray[np.int64] | None, normal: NDArray[np.int64] | None) -> list[bytes]:
     columns = [table for table in (vertex, uv, normal) if table is not None]
-    corner = "%d//%d" if uv is None else "/".join(["%d"] * len(columns))
-    pattern = f"f {corner} {corner} {corner}\n"
-    lines = (pattern % tuple(row) for row in np.stack(columns, axis=2).reshape(len(vertex), -1).tolist())
+    corner = "{}//{}" if uv is None and normal is not None else "/".join(["{}"] * len(columns))
+    lines = written_rows(f"f {corner} {corner} {corner}\n", np.stack(columns, axis=2).reshape(len(vertex), -1))
     if all(table.all() for table in columns):
         return lines
-    return (_END.sub("", _NONE.sub("/", line)) for line in lines)
+    return [_END.sub(b"", _NONE.sub(b"/", part)) for part in lines]
 
 
 # A row that is none, and slashes that then end a corner.
-_NONE, _END = re.compile(r"/0\b"), re.compile(r"/+(?=[ \n])")
+_NONE, _END = re.compile(rb"/0\b"), re.compile(rb"/+(?=[ \n])")

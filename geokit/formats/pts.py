@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from geokit.errors import FileFormatError, InputError
 from geokit.formats.columns import Columns, integer_colors, joined
-from geokit.formats.text import row_lines
+from geokit.formats.text_files.decimal import written_lines
 from geokit.formats.text_files.plain import plain_text
 from geokit.formats.text_files.rows import read_rows
 
@@ -86,6 +86,6 @@ def write_points(path: Path, points: NDArray[np.float64], data: Mapping[str, NDA
         columns.append(data["intensity"])
     if "rgb" in data:
         columns += list(data["rgb"].T)
-    with open(path, "w", encoding="ascii") as file:
-        file.write(f"{len(points)}\n")
-        file.writelines(row_lines(columns))
+    with open(path, "wb") as file:
+        file.write(f"{len(points)}\n".encode("ascii"))
+        file.writelines(written_lines(*columns))

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,11 +16,12 @@ from geokit.core.files import in_one_line
 from geokit.errors import FileFormatError, InputError
 from geokit.formats.columns import AXES, RAY_COLUMNS, Columns, first_rays, joined, split
 from geokit.formats.text_files.coordinates import coordinate_columns, ray_columns
+from geokit.formats.text_files.decimal import written_lines
 from geokit.formats.text_files.plain import plain_text
 from geokit.formats.text_files.rows import Cells, decoded, not_numbers, read_cells, separator_of, split_line
 from geokit.formats.text_files.words import as_number
 
-__all__ = ["point_lines", "read_points", "read_rays", "row_lines", "write_points"]
+__all__ = ["read_points", "read_rays", "write_points"]
 
 
 def read_points(path: Path, columns: Sequence[str] | None = None) -> tuple[NDArray[np.float64], Columns]:
@@ -76,23 +77,10 @@ def write_points(path: Path, points: NDArray[np.float64], data: Mapping[str, NDA
     """
     kind = path.suffix.lower()
     columns = split(points, data, kind)
-    plain = [column.astype(np.uint8) if column.dtype.kind == "b" else column for column in columns.values()]
     separator = "," if kind == ".csv" else " "
-    with open(path, "w", encoding="utf-8") as file:
-        file.write(("" if kind == ".csv" else "# ") + separator.join(columns) + "\n")
-        file.writelines(row_lines(plain, separator))
-
-
-def row_lines(columns: Sequence[NDArray[Any]], separator: str = " ") -> Iterable[str]:
-    """Lines of one number from each column, with the fewest digits that read back as the same float64."""
-    # tolist gives Python numbers, whose repr has the fewest digits.
-    rows = zip(*(column.tolist() for column in columns), strict=True)
-    return (separator.join(map(repr, row)) + "\n" for row in rows)
-
-
-def point_lines(points: NDArray[np.float64], prefix: str = "") -> Iterable[str]:
-    """Lines of three numbers with the fewest digits that read back as the same float64."""
-    return (f"{prefix}{x!r} {y!r} {z!r}\n" for x, y, z in points.tolist())
+    with open(path, "wb") as file:
+        file.write((("" if kind == ".csv" else "# ") + separator.join(columns) + "\n").encode())
+        file.writelines(written_lines(*columns.values(), separator=separator))
 
 
 class _Table(NamedTuple):

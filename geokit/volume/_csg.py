@@ -24,7 +24,7 @@ from geokit.volume.nanovdb.provenance import with_more, world_metadata
 from geokit.volume.tree.estimates import leaf_count
 from geokit.volume.tree.leaves import require_volume
 from geokit.volume.tree.openvdb_call import call_openvdb
-from geokit.volume.tree.typed_tree import rows_in, tree_of, tree_of_leaves, voxelized_tree
+from geokit.volume.tree.typed_tree import RowTable, tree_of, tree_of_leaves, voxelized_tree
 from geokit.volume.tree.typed_writer import rebuilt
 
 __all__ = ["difference", "intersection", "union"]
@@ -218,7 +218,7 @@ def _combined_masks(kind: str, operands: Sequence[SparseVolume], names: Sequence
     masks: NDArray[np.uint8] = np.zeros((len(origins), 64), np.uint8)
     for number, tree in enumerate(trees):
         own = np.zeros_like(masks)
-        own[rows_in(origins, tree.origins)] = tree.masks
+        own[RowTable(origins).find(tree.origins)] = tree.masks
         if number == 0 or kind == "union":
             masks |= own
         elif kind == "intersection":

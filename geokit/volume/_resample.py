@@ -247,7 +247,7 @@ def _values_at(volume: SparseVolume, points: NDArray[np.float64], device: Any) -
         return np.asarray(sample(volume, points, order=0, space="index", device=device))
     import warp as wp
 
-    from geokit.volume.sampling.nearest_int64_kernels import nearest_int64_kernel
+    from geokit.volume.sampling.active_kernels import nearest_int64_kernel
 
     target = launcher.resolve_device(device)
     given = wp.array(points, dtype=wp.vec3d, device=target)

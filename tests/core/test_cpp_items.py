@@ -59,6 +59,30 @@ def test_a_declaration_without_parameters_has_those_of_the_function(monkeypatch:
         cpp.native_item("a/test.inl", "absent")(lambda first: None)
 
 
+def test_a_declaration_says_what_the_function_leaves_open(monkeypatch: Any) -> None:
+    text = "static constexpr auto item = [](int i, int times, const auto& rows, auto shift,\n"
+    text += "    wp::array_t<int>& out_rows) {\n"
+    text += "    out_rows.data[i] = times * rows.data[i * rows.shape[1]] + (int)shift;\n};\n"
+    read = cpp._read
+    monkeypatch.setattr(cpp, "_read", lambda file: text if file == "a/test.inl" else read(file))
+
+    @wp.kernel(enable_backward=False)
+    @cpp.native_item("a/test.inl", "item")
+    def column_kernel(first: int, shift: wp.float64, rows: wp.array2d(dtype=wp.int32)): ...  # type: ignore[valid-type]
+
+    names = [argument.label for argument in column_kernel.adj.args]
+    assert names == ["first", "times", "rows", "shift", "out_rows"]
+    rows = wp.array(np.arange(20).reshape(10, 2), dtype=wp.int32, device="cpu")
+    out = wp.empty(10, dtype=wp.int32, device="cpu")
+    launcher.launch(column_kernel, 10, [3, rows, wp.float64(4.0)], [out], rows.device)
+    np.testing.assert_array_equal(out.numpy(), 3 * np.arange(0, 20, 2) + 4)
+
+    def absent_kernel(first: int, low: int, rows: Any, shift: Any): ...
+
+    with pytest.raises(AssertionError, match=r"a/test.inl: item has no parameter low"):
+        cpp.native_item("a/test.inl", "item")(absent_kernel)
+
+
 @pytest.mark.parametrize("kind", GATHER)
 def test_rows_may_be_gathered_in_their_own_stead(kind: Any) -> None:
     order = np.random.default_rng(0).permutation(50)

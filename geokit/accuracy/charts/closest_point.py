@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geokit.accuracy.reference import mesh as reference
-from geokit.accuracy.trials.held_bytes import held_bytes
 from geokit.accuracy.trials.model import Chart, Judgement, Trial
-from geokit.accuracy.trials.running import judged, on_host, send, setting_of
+from geokit.accuracy.trials.running import held_bytes, judged, on_host, send, setting_of
 
 if TYPE_CHECKING:
     from geokit.accuracy.charts.mesh_setup import MeshSetup, Queries

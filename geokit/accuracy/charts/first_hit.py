@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from geokit.accuracy.charts.closest_point import warp_tree_bytes
 from geokit.accuracy.charts.mesh_setup import SEED
 from geokit.accuracy.reference import mesh as reference
-from geokit.accuracy.trials.held_bytes import held_bytes
 from geokit.accuracy.trials.model import Chart, Judgement, Trial
-from geokit.accuracy.trials.running import failed, judged, on_host, send, setting_of, unit
+from geokit.accuracy.trials.running import failed, held_bytes, judged, on_host, send, setting_of, unit
 from geokit.errors import GeokitError
 
 if TYPE_CHECKING:

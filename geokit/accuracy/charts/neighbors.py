@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.accuracy.reference import mesh as reference
-from geokit.accuracy.trials.held_bytes import held_bytes
 from geokit.accuracy.trials.model import Chart, Judgement, Trial
-from geokit.accuracy.trials.running import judged, on_host, send, setting_of
+from geokit.accuracy.trials.running import held_bytes, judged, on_host, send, setting_of
 
 if TYPE_CHECKING:
     from geokit.accuracy.charts.points_setup import PointsSetup

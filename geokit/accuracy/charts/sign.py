@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from geokit.accuracy.charts.mesh_setup import SOLID_ANGLE, Queries
 from geokit.accuracy.reference import mesh as reference
-from geokit.accuracy.trials.held_bytes import held_bytes
 from geokit.accuracy.trials.model import Chart, Judgement, Trial
-from geokit.accuracy.trials.running import judged, on_host, send, setting_of
+from geokit.accuracy.trials.running import held_bytes, judged, on_host, send, setting_of
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ import numpy as np
 from geokit.accuracy.report.folder import FORMATS as FIGURE_FORMATS
 from geokit.accuracy.report.stability_figures import NO_UNIT, sweep_figure
 from geokit.accuracy.trials.model import Sweep
-from geokit.accuracy.trials.time_left import time_left
+from geokit.accuracy.trials.running import time_left
 from geokit.core import launcher
 from geokit.core.files import atomic_path, is_there
 from geokit.core.interop.types import Device

@@ -1,7 +1,8 @@
-"""Helpers shared by the trials of all charts: transfers, judgements, and trials that could not be prepared."""
+"""Helpers shared by trials and sweeps: transfers, judgements, memory, progress, trials that could not be prepared."""
 
 from __future__ import annotations
 
+import time
 import warnings
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -11,9 +12,15 @@ from numpy.typing import NDArray
 
 from geokit.accuracy.trials.model import Judgement, Trial
 
-__all__ = ["angles", "failed", "judged", "on_host", "send", "setting_of", "unit", "without_warnings"]
+__all__ = [
+    "angles", "failed", "held_bytes", "judged", "on_host", "send", "setting_of", "time_left", "unit",
+    "without_warnings",
+]  # fmt: skip
 
 Floats = NDArray[np.float64]
+
+# Shorter runs [s] need no estimate.
+PATIENCE = 2.0
 
 
 def send(points: Floats, device: Any) -> Any:
@@ -70,3 +77,46 @@ def failed(method: str, parameters: Mapping[str, Any], error: Exception) -> Tria
         raise error
 
     return Trial(method, setting_of(parameters), run, judge, 0, 0, dict(parameters))
+
+
+def held_bytes(*things: Any) -> int:
+    """Bytes of all warp arrays reachable through attributes, warp structs and tuples; each is counted once.
+
+    Memory behind a warp handle (the tree of a ``wp.Mesh``, the cells of a ``wp.HashGrid``) is not included.
+    """
+    import warp as wp
+
+    sizes: dict[int, int] = {}
+    seen: set[int] = set()
+    waiting = list(things)
+    while waiting:
+        thing = waiting.pop()
+        if id(thing) in seen:
+            continue
+        seen.add(id(thing))
+        if isinstance(thing, wp.array):
+            if thing.ptr:
+                sizes[thing.ptr] = max(sizes.get(thing.ptr, 0), thing.capacity)
+        elif isinstance(thing, (tuple, list)):
+            waiting.extend(thing)
+        elif isinstance(getattr(thing, "__dict__", None), dict) and not isinstance(thing, type):
+            # Warp's own objects reference all of warp.
+            is_warp = type(thing).__module__.partition(".")[0] == "warp"
+            parts = vars(thing).values()
+            waiting.extend(part for part in parts if isinstance(part, wp.array) or not is_warp)
+    return sum(sizes.values())
+
+
+def time_left(started: float, done: int, total: int, what: str) -> str:
+    """The end of a line: the parts that are done and the time for the others, if they take as long; "" at the start.
+
+    Args:
+        started: ``time.perf_counter()`` at the start of the run.
+        done: Number of parts that are done.
+        total: Number of all parts.
+        what: What the parts are called.
+    """
+    passed = time.perf_counter() - started
+    if passed < PATIENCE or not done:
+        return ""
+    return f" [{done} of {total} {what}, about {passed / done * (total - done):.0f} s left]"

@@ -7,7 +7,6 @@ Source:
 from __future__ import annotations
 
 import array
-import io
 import posixpath
 import zipfile
 import zlib
@@ -23,12 +22,15 @@ from numpy.typing import NDArray
 from geokit.core.files import damaged
 from geokit.errors import FileFormatError
 from geokit.formats.file_content.body import Body
+from geokit.formats.text_files.decimal import written_rows
 
 if TYPE_CHECKING:
     from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = ["content_bytes", "read_mesh", "write_mesh"]
 
+# Of zlib: 2.5 times as fast as its usual 6, for files 3 to 6 % larger.
+_LEVEL = 4
 # Meters in the units that a file can name.
 _UNITS = {"micron": 1e-6, "millimeter": 1e-3, "centimeter": 1e-2, "inch": 0.0254, "foot": 0.3048, "meter": 1.0}
 # Resources that say how triangles look.
@@ -309,20 +311,19 @@ def write_mesh(path: Path, mesh: TriangleMesh) -> None:
         vertices = vertices if names else vertices * meters
     # Without characters that XML cannot hold.
     name = "".join(letter if letter.isprintable() else " " for letter in mesh.name or "mesh")
-    text = io.StringIO()
-    text.write(
+    head = (
         '<?xml version="1.0" encoding="UTF-8"?>\n'
         f'<model unit="{unit}" xml:lang="en-US" xmlns="{_CORE}2015/02">\n<resources>\n'
         f'<object id="1" type="model" name={quoteattr(name)}>\n<mesh>\n<vertices>\n'
     )
-    text.writelines(f'<vertex x="{x!r}" y="{y!r}" z="{z!r}"/>\n' for x, y, z in vertices.tolist())
-    text.write("</vertices>\n<triangles>\n")
-    text.writelines(f'<triangle v1="{a}" v2="{b}" v3="{c}"/>\n' for a, b, c in mesh.faces.tolist())
-    text.write('</triangles>\n</mesh>\n</object>\n</resources>\n<build>\n<item objectid="1"/>\n</build>\n</model>\n')
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+    points = written_rows('<vertex x="{}" y="{}" z="{}"/>\n', vertices)
+    faces = written_rows('<triangle v1="{}" v2="{}" v3="{}"/>\n', mesh.faces)
+    tail = '</triangles>\n</mesh>\n</object>\n</resources>\n<build>\n<item objectid="1"/>\n</build>\n</model>\n'
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=_LEVEL) as archive:
         archive.writestr("[Content_Types].xml", _TYPES)
         archive.writestr("_rels/.rels", _RELATIONS)
-        archive.writestr(_USUAL, text.getvalue())
+        parts = head.encode(), *points, b"</vertices>\n<triangles>\n", *faces, tail.encode()
+        archive.writestr(_USUAL, b"".join(parts))
 
 
 _TYPES = (

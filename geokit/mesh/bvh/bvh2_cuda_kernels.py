@@ -104,18 +104,7 @@ def clusters_kernel(
 
 @wp.kernel(grid_stride=False)
 @cpp.native_item("mesh/bvh/bvh2_build.inl", "merge_chunk", CHUNK=CHUNK, REACH=REACH, THREADS=THREADS)
-def merge_kernel(
-    first: int,
-    clusters: wp.array(dtype=Cluster),
-    offsets: wp.array(dtype=int),
-    most_levels: int,
-    made: wp.array(dtype=int),
-    boxes: wp.array(dtype=wp.vec3),
-    links: wp.array(dtype=wp.vec4i),
-    parent: wp.array(dtype=int),
-    out_clusters: wp.array(dtype=Cluster),
-    out_count: wp.array(dtype=int),
-):
+def merge_kernel(first: int, clusters: wp.array(dtype=Cluster), out_clusters: wp.array(dtype=Cluster)):
     """Merge the clusters of each CHUNK, and write what is left at its place, and how many those are.
 
     Nodes are numbered as they come. Of each node ``boxes`` has the lower and upper corners of its left and of its right

@@ -68,20 +68,8 @@ def references_kernel(first: int):
 
 @wp.kernel
 @cpp.native_item("mesh/bvh/bvh8_build_cpu.inl", "build_top", **_CONSTANTS)
-def top_kernel(
-    first: int,
-    references: wp.array(dtype=wp.float32),
-    sides: wp.array(dtype=wp.uint8),
-    begin: wp.array(dtype=int),
-    base: wp.array(dtype=int),
-    limit: wp.array(dtype=int),
-    scratch: wp.array(dtype=int),
-    out_boxes: wp.array(dtype=wp.float32),
-    out_children: wp.array(dtype=int),
-    out_subtree: wp.array(dtype=int),
-    out_size: wp.array(dtype=int),
-):
-    """One item is one tree: a single thread builds its top. ``begin`` and ``base`` have one entry more."""
+def top_kernel(first: int):
+    """One item is one tree: a single thread builds its top. ``begins`` and ``bases`` have one entry more."""
 
 
 @wp.kernel

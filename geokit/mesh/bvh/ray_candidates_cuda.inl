@@ -160,10 +160,16 @@ static constexpr auto find_candidates = [](const SurfaceTree& tree, const point&
 };
 
 // The first hit: decides the nearest of a ray's candidates in float64.
-static constexpr auto first_hit = [](const SurfaceTree& tree, const point& start, const point& direction, double t_min,
-                                     double t_max, int ray, wp::array_t<double>& out_t,
-                                     wp::array_t<int>& out_triangle_id, wp::array_t<wp::vec3d>& out_barycentric,
-                                     wp::array_t<int>& out_bad) {
+static constexpr auto first_hit = [](int ray, const wp::array_t<wp::vec3d>& origins,
+                                     const wp::array_t<wp::vec3d>& directions, const SurfaceTree& tree, double t_min,
+                                     double max_distance, wp::array_t<double>& out_t, wp::array_t<int>& out_triangle_id,
+                                     wp::array_t<wp::vec3d>& out_barycentric, wp::array_t<int>& out_bad) {
+    point start, direction;
+    double t_max;
+    if (!fetch_ray(origins, directions, ray, max_distance, start, direction, t_max, out_bad)) {
+        out_triangle_id.data[ray] = NO_CANDIDATE;
+        return;
+    }
     int found[CANDIDATES];
     find_candidates(tree, start, direction, t_min, t_max, found);
     if (found[0] == UNDECIDED) {
@@ -195,8 +201,12 @@ static constexpr auto first_hit = [](const SurfaceTree& tree, const point& start
 };
 
 // Decides in float64 whether a ray hits one of its candidates.
-static constexpr auto any_hit = [](const SurfaceTree& tree, const point& start, const point& direction, double t_min,
-                                   double t_max, int ray, wp::array_t<bool>& out_occluded, wp::array_t<int>& out_bad) {
+static constexpr auto any_hit = [](int ray, const wp::array_t<wp::vec3d>& origins,
+                                   const wp::array_t<wp::vec3d>& directions, const SurfaceTree& tree, double t_min,
+                                   double max_distance, wp::array_t<bool>& out_occluded, wp::array_t<int>& out_bad) {
+    point start, direction;
+    double t_max;
+    if (!fetch_ray(origins, directions, ray, max_distance, start, direction, t_max, out_bad)) return;
     int found[CANDIDATES];
     find_candidates(tree, start, direction, t_min, t_max, found);
     if (found[0] == UNDECIDED) {

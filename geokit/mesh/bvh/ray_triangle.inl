@@ -18,6 +18,21 @@ static constexpr auto pick = [](const point& p, int k) { return k == 0 ? p[0] : 
 #else
 static constexpr auto pick = [](const point& p, int k) { return p[k]; };
 #endif
+// A ray, and its length in units of its direction. False, and out_bad[0] is set, for one that has no direction or is not
+// finite: the host rejects the whole batch then and names the row.
+static constexpr auto fetch_ray = [](const wp::array_t<wp::vec3d>& origins, const wp::array_t<wp::vec3d>& directions,
+                                     int ray, double max_distance, point& start, point& direction, double& t_max,
+                                     wp::array_t<int>& out_bad) {
+    start = origins.data[ray];
+    direction = directions.data[ray];
+    t_max = max_distance < (double)INFINITY ? max_distance / wp::length(direction) : max_distance;
+    const double largest = wp::max(wp::max(wp::abs(direction[0]), wp::abs(direction[1])), wp::abs(direction[2]));
+    // x - x is zero, unless x is infinite or NaN.
+    const point none = (start - start) + (direction - direction);
+    const bool is_usable = largest >= SHORTEST_DIRECTION && none[0] + none[1] + none[2] == 0.0;
+    if (!is_usable) out_bad.data[0] = 1;
+    return is_usable;
+};
 // False if the line misses the triangle in a slot; t in units of the direction, v and w the weights of b and c.
 static constexpr auto hit_at_all = [](const SurfaceTree& tree, const point& start, const point& direction, int slot,
                                       double& t, double& v, double& w) {

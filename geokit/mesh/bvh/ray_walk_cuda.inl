@@ -9,22 +9,6 @@
 static constexpr auto walk_rays = [](const SurfaceTree& tree, const wp::array_t<wp::vec3d>& origins,
                                      const wp::array_t<wp::vec3d>& directions, int begin, int, double t_min,
                                      double max_distance, wp::array_t<int>& out_bad, auto&& take_hit, auto&& finish) {
-    auto fetch = [&](int number, int& id, point& start, point& direction, double& t_max) {
-        id = number;
-        start = origins.data[id];
-        direction = directions.data[id];
-        const double largest = wp::max(wp::max(wp::abs(direction[0]), wp::abs(direction[1])), wp::abs(direction[2]));
-        // x - x is zero, unless x is infinite or NaN.
-        const point none = (start - start) + (direction - direction);
-        if (!(largest >= SHORTEST_DIRECTION && none[0] + none[1] + none[2] == 0.0)) {
-            // The host rejects the whole batch and names the row; until then the traversal must stay within its arrays.
-            out_bad.data[0] = 1;
-            start = tree.origin;
-            direction = point(1.0, 0.0, 0.0);
-        }
-        t_max = max_distance;
-        if (max_distance < (double)INFINITY) t_max /= wp::length(direction);
-    };
     struct Ray {
         point start, direction;
         double best, enter, unit, weight_b, weight_c;
@@ -37,7 +21,13 @@ static constexpr auto walk_rays = [](const SurfaceTree& tree, const wp::array_t<
     r.weight_b = 0.0;
     r.weight_c = 0.0;
     r.height = 0;
-    fetch(begin, r.id, r.start, r.direction, r.best);
+    r.id = begin;
+    if (!fetch_ray(origins, directions, begin, max_distance, r.start, r.direction, r.best, out_bad)) {
+        // The traversal must stay within its arrays.
+        r.start = tree.origin;
+        r.direction = point(1.0, 0.0, 0.0);
+        r.best = max_distance;
+    }
     // The ray as from + s * along in local units with the largest component of along being 1: s = unit * t.
     const double largest = wp::max(wp::max(wp::abs(r.direction[0]), wp::abs(r.direction[1])), wp::abs(r.direction[2]));
     const double local = 1.0 / tree.scale, shrink = 1.0 / largest;

@@ -1,14 +1,22 @@
-"""Traversals of rays over a prepared surface, and the constants that both devices share."""
+"""What all traversals of rays over a prepared surface share, and the first pass of first and any hits on CUDA.
+
+That pass is a float32 traversal that collects a few candidates, then float64 tests of those: float64 tests during the
+traversal would make threads wait for each other at every triangle. A triangle that the ray hits well inside ends the
+search behind it. One that it hits within the margin of an edge does not, and is decided together with the other
+candidates.
+"""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
 import numpy as np
 import warp as wp
 
+from geokit.core import cpp
 from geokit.mesh.bvh.bvh2_cuda_kernels import NODE_CONSTANTS
 from geokit.mesh.bvh.bvh8_build_cpu_kernels import STACK
 from geokit.mesh.bvh.bvh8_leaves_cpu_kernels import HEAD, LEAF_WORDS, SLIVER
 from geokit.mesh.bvh.leaf_planes_kernels import PLANE_ROWS
+from geokit.mesh.bvh.tree_kernels import LEFT_OVER, NO_CANDIDATE, UNDECIDED, SurfaceTree
 
 wp.set_module_options({"enable_backward": False})
 
@@ -39,6 +47,7 @@ AHEAD = 32
 
 RAY_CONSTANTS = {
     **NODE_CONSTANTS,
+    "SHORTEST_DIRECTION": SHORTEST_DIRECTION,
     "NEAR_START": NEAR_START,
     "PLANE_MARGIN": np.float32(PLANE_MARGIN),
     "ENDLESS": np.float32(ENDLESS),
@@ -50,7 +59,6 @@ RAY_CONSTANTS = {
 # Those of walk_rays, beside CROSSINGS and UNORDERED.
 WALK_CONSTANTS = {
     **RAY_CONSTANTS,
-    "SHORTEST_DIRECTION": SHORTEST_DIRECTION,
     "BOX_MARGIN": np.float32(BOX_MARGIN),
     "IN_FLIGHT": IN_FLIGHT,
     "AHEAD": AHEAD,
@@ -60,21 +68,46 @@ WALK_CONSTANTS = {
     "STACK": STACK,
 }
 
+# Candidates of a ray: the triangle that it hits first and, near an edge or a vertex, those around it. With 16, one of
+# four million rays had too many among 3 million triangles, and the second pass took a sixth of the first one's time.
+CANDIDATES = 32
+# The same for any hits: most of these end the search, and what is left is around an edge or a vertex.
+ANY_HIT_CANDIDATES = 16
+# Register limits of a GPU thread; see docs/design/launches-and-memory.md.
+REGISTERS = 40
+ANY_HIT_REGISTERS = 48
+# Flag bit in a candidate's slot; slot numbers are below it.
+IS_SLIVER = 1 << 30
+# First entry of a ray's candidate list: it hits something.
+SURE = wp.constant(-3)
 
-@wp.func_native(
-    """
-    const wp::vec_t<3, wp::float64> none = (start - start) + (direction - direction);
-    return largest >= shortest && none[0] + none[1] + none[2] == 0.0;
-"""
+_CONSTANTS = {
+    **RAY_CONSTANTS,
+    "CROSSINGS": False,
+    "IS_SLIVER": IS_SLIVER,
+    "NO_CANDIDATE": NO_CANDIDATE,
+    "UNDECIDED": UNDECIDED,
+    "SURE": SURE,
+    "LEFT_OVER": LEFT_OVER,
+}
+
+
+@wp.kernel(cuda_max_registers=REGISTERS, grid_stride=False)
+@cpp.native_item(
+    "mesh/bvh/ray_candidates_cuda.inl", "first_hit", SurfaceTree, **_CONSTANTS, CANDIDATES=CANDIDATES, ANY_HIT=False
 )
-def is_usable(start: wp.vec3d, direction: wp.vec3d, largest: wp.float64, shortest: wp.float64) -> bool:
-    """Whether all numbers are finite (x - x is zero, unless x is infinite or NaN) and the direction is long enough."""
-    ...
+def first_hit_kernel(first: int):
+    """First hits; rays with too many candidates, or from too far away for float32, become UNDECIDED."""
 
 
-@wp.func
-def length_in_t(max_distance: wp.float64, direction: wp.vec3d) -> wp.float64:
-    t_max = max_distance
-    if wp.isfinite(max_distance):
-        t_max = max_distance / wp.length(direction)
-    return t_max
+@wp.kernel(cuda_max_registers=ANY_HIT_REGISTERS, grid_stride=False)
+@cpp.native_item(
+    "mesh/bvh/ray_candidates_cuda.inl",
+    "any_hit",
+    SurfaceTree,
+    **_CONSTANTS,
+    CANDIDATES=ANY_HIT_CANDIDATES,
+    ANY_HIT=True,
+)
+def any_hit_kernel(first: int):
+    """Whether rays hit anything; those with too many candidates, or from too far away for float32, are LEFT_OVER."""

@@ -359,11 +359,11 @@ class RayQueries:
         from geokit.mesh.queries import raycast_kernels
 
         if whole[0] is raycast_kernels.raycast_kernel:
-            from geokit.mesh.bvh.bvh2_ray_candidates_cuda_kernels import first_hit_kernel
+            from geokit.mesh.bvh.ray_walk_kernels import first_hit_kernel
 
             return (first_hit_kernel, count, shared), (raycast_kernels.raycast_undecided_kernel, count, shared)
         if whole[0] is raycast_kernels.occluded_kernel:
-            from geokit.mesh.bvh.bvh2_ray_candidates_cuda_kernels import any_hit_kernel
+            from geokit.mesh.bvh.ray_walk_kernels import any_hit_kernel
 
             return (any_hit_kernel, count, shared), (raycast_kernels.occluded_left_over_kernel, count, shared)
         return whole, None

@@ -10,11 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core import launcher
 from geokit.core.base.forks import Lock
 from geokit.core.equal_rows import merge_equal_points, repeated_triples
-from geokit.core.memory.struct_array import Parts, struct_rows, struct_table
+from geokit.core.memory.host_array import HostArray
+from geokit.core.memory.struct_array import Parts, struct_array, struct_rows, struct_table
+from geokit.mesh.bvh.forest import WIDTH, Forest
+from geokit.mesh.bvh.winding_moments import NODE_GRAIN
 from geokit.mesh.model.triangle_mesh import trusted_mesh
-from geokit.mesh.queries.forest_pairs import self_intersecting
 from geokit.mesh.sign.queries import FAR
 from geokit.mesh.topology.connectivity import MeshTopology, Topology, collapsed_faces, connected_components
 from geokit.mesh.topology.measures import DEGENERATE_RATIO, measure_each
@@ -22,8 +25,6 @@ from geokit.mesh.topology.orientation import FLAT_SHARE
 
 if TYPE_CHECKING:
     import warp as wp
-
-    from geokit.mesh.bvh.forest import Forest
 
 __all__ = ["ForestSigns"]
 
@@ -120,7 +121,7 @@ class ForestSigns:
         chosen = np.zeros(self._count, bool)
         if self._forest is not None:
             sound = np.flatnonzero(self._sound)
-            chosen[sound[~self_intersecting(self._forest, sound)]] = True
+            chosen[sound[~_self_intersecting(self._forest, sound)]] = True
         for mesh in np.flatnonzero(~(self.simple & self._closed)):
             chosen[mesh] = self._surface(int(mesh))._method("auto") == "pseudonormal"
         return chosen
@@ -207,3 +208,31 @@ class ForestSigns:
             corner_normal=Parts.between(tables.corner_normal, self._begin, 3),
             vertex_normals=tables.vertex_normals,
         )
+
+
+def _self_intersecting(forest: Forest, meshes: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which of some meshes have self-intersections, as :meth:`geokit.mesh.Surface.self_intersections` lists them."""
+    import warp as wp
+
+    from geokit.mesh.queries import forest_pairs_cpu_kernels as kernels
+
+    device, count, slots = forest.device, len(forest.scales), int(forest.slots[-1])
+    boxes: Any = wp.empty(6 * slots, dtype=wp.float32, device=device)
+    found: Any = wp.zeros(count, dtype=wp.int32, device=device)
+    table = struct_table(
+        kernels.ForestBoxes,
+        count,
+        tree=forest.table,
+        slot_boxes=Parts.between(boxes, forest.slots, 6),
+        found=Parts.between(found, np.arange(count + 1)),
+        unit=2.0 ** -np.round(np.log2(forest.scales)),
+    )
+    searches = struct_array(table, kernels.ForestBoxes, device)
+    begin = HostArray(forest.slots.astype(np.int32))
+    launcher.launch(kernels.forest_slot_boxes_kernel, slots, [begin], [searches], device)
+    leaves = np.diff(forest.slots)[meshes] // WIDTH
+    owner = np.repeat(meshes, leaves)
+    leaf = np.arange(len(owner)) - np.repeat(np.cumsum(leaves) - leaves, leaves)
+    items = [HostArray(values.astype(np.int32)) for values in (owner, leaf)]
+    launcher.launch(kernels.forest_pairs_kernel, len(owner), items, [searches], device, grain=NODE_GRAIN)
+    return np.asarray(found.numpy()[meshes] != 0)

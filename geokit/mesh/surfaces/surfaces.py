@@ -446,9 +446,8 @@ class Surfaces:
 
         from geokit.mesh.bvh.winding_kernels import WindingTree
         from geokit.mesh.sign import parity
-        from geokit.mesh.sign.forest_pseudonormals_kernels import forest_pseudonormal_kernel
         from geokit.mesh.sign.forest_winding_kernels import forest_missed_kernel, forest_winding_kernel
-        from geokit.mesh.sign.pseudonormals_kernels import Pseudonormals
+        from geokit.mesh.sign.pseudonormals_kernels import Pseudonormals, forest_pseudonormal_kernel
 
         signs, device, count, points = self._signs, self._device, len(batch), batch.rows
         apart = np.full(len(self), True) if sign == "parity" else signs.apart

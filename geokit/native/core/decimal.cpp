@@ -1,6 +1,8 @@
 #include "decimal.h"
 
+#include <algorithm>
 #include <charconv>
+#include <cmath>
 #include <cstring>
 #include <system_error>
 
@@ -72,7 +74,30 @@ bool skip_separator(const char*& p, const char* end, char separator)
     return true;
 }
 
+char* write_double(double value, char* out)
+{
+    const double size = std::fabs(value);
+    const bool plain = size == 0.0 || (size >= 1e-4 && size < 1e16);
+    const auto format = plain ? std::chars_format::fixed : std::chars_format::scientific;
+    // The sign of a NaN says nothing.
+    char* const end = std::to_chars(out, out + longest_number, std::isnan(value) ? size : value, format).ptr;
+    return plain && std::find(out, end, '.') == end ? std::copy_n(".0", 2, end) : end;
+}
+
 } // namespace
+
+std::int64_t write_rows(
+    const std::uint64_t* table, std::int64_t rows, const char* pattern, std::int64_t pattern_size, char* out)
+{
+    char* at = out;
+    for (std::int64_t row = 0; row < rows; ++row)
+        for (const char* p = pattern; p < pattern + pattern_size; ++p)
+            if (*p == float64_place) at = write_double(from_bits(*table++), at);
+            else if (*p == int64_place) at = std::to_chars(at, at + longest_number, std::int64_t(*table++)).ptr;
+            else if (*p == uint64_place) at = std::to_chars(at, at + longest_number, *table++).ptr;
+            else *at++ = *p;
+    return at - out;
+}
 
 std::int64_t count_rows(const Text& text, std::int64_t first, std::int64_t last)
 {

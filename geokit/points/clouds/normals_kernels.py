@@ -176,13 +176,7 @@ def plane_of(count: wp.int32, sums: wp.mat33d, rounding: wp.float64) -> Plane:
 
 
 @cpp.func_native("points/clouds/normals.inl")
-def row_sums(
-    points: wp.array(dtype=wp.vec3d),
-    neighbor: wp.array(dtype=wp.int32, ndim=2),
-    i: wp.int32,
-    count: wp.int32,
-    scale: wp.float64,
-) -> wp.mat33d:
+def row_sums(neighbor: wp.array2d(dtype=wp.int32)) -> wp.mat33d:
     """Sums for plane_of over the differences of the first ``count`` neighbors in row i to point i."""
     ...
 
@@ -208,13 +202,7 @@ def place_kernel(
 
 @wp.kernel
 @cpp.native_item("points/clouds/normals.inl", "place_row")
-def place_neighbors_kernel(
-    first: int,
-    order: wp.array(dtype=wp.int32),
-    place: wp.array(dtype=wp.int32),
-    neighbor: wp.array(dtype=wp.int32, ndim=2),
-    out_neighbor: wp.array(dtype=wp.int32, ndim=2),
-):
+def place_neighbors_kernel(first: int, neighbor: wp.array2d(dtype=wp.int32), out_neighbor: wp.array2d(dtype=wp.int32)):
     """Rows of neighbors in the order, as positions in it."""
 
 

@@ -115,7 +115,7 @@ def survey(points: "wp.array", refuse: Callable[[], Any] | None = None) -> Surve
     import warp as wp
 
     from geokit.points.search import cells_kernels as kernels
-    from geokit.points.search.bounding_box_cpu_kernels import SHARE, SURVEY_HOST
+    from geokit.points.search.cells_cpu_kernels import SHARE, SURVEY_HOST
 
     device: Any = points.device
     count = len(points)

@@ -9,6 +9,8 @@ from typing import Any
 
 import warp as wp
 
+from geokit.core import cpp
+
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 # Points tested by one call of within_mask: one bit of a 64-bit mask each. The coordinates are padded by as many
@@ -77,7 +79,7 @@ class CellGrid:
 
 @wp.func
 def cells_of_group(grid: CellGrid, group: wp.int32) -> CellGrid:
-    """The grid of one group; on a CPU see cell_along_cpu.inl."""
+    """The grid of one group; on a CPU see cell_along.inl."""
     own = grid
     cells = grid.groups[group]
     own.lower = cells.lower
@@ -92,26 +94,8 @@ def cells_of_group(grid: CellGrid, group: wp.int32) -> CellGrid:
     return own
 
 
-@wp.func
-def cell_along(grid: CellGrid, axis: wp.int32, x: wp.float64) -> wp.int32:
-    """Cell of a coordinate on one axis, clamped to the grid.
-
-    The search, the subtraction, the product, the clamp and the truncation are all monotone, rounding included: a
-    coordinate between two others gets a cell between theirs. The exactness of a search needs only this property of the
-    cells, whatever their sizes.
-    """
-    i = grid.first_cut[axis]
-    last = grid.last_cut[axis]
-    while i < last:
-        middle = (i + last + 1) // 2
-        if grid.cut[middle][0] <= x:
-            i = middle
-        else:
-            last = middle - 1
-    cut = grid.cut[i]
-    # Clamped as a float: casting a very large coordinate to int would be undefined.
-    top = cut[3] - wp.float64(1.0)
-    return wp.int32(cut[2]) + wp.int32(wp.clamp((x - cut[0]) * cut[1], wp.float64(0.0), top))
+@cpp.func_native("points/search/cell_along.inl")
+def cell_along(cells: CellGrid) -> wp.int32: ...
 
 
 @wp.func
@@ -137,7 +121,7 @@ def survey_kernel(
     out_lower: wp.array(dtype=wp.vec3d),
     out_upper: wp.array(dtype=wp.vec3d),
 ):
-    """Bounding boxes of ``run_count`` shares of the points on a GPU; for a CPU see bounding_box_cpu_kernels.
+    """Bounding boxes of ``run_count`` shares of the points on a GPU; for a CPU see cells_cpu_kernels.
 
     The points of a share are ``run_count`` apart, so that adjacent threads read adjacent points. A box is not finite if
     one of its points is not.

@@ -159,17 +159,13 @@ def nearness_of(grid: CellGrid, q: wp.vec3d, radius: wp.float64) -> Nearness:
 
 
 @cpp.func_native("points/search/near.inl")
-def near_count(
-    grid: CellGrid, begin: wp.int32, end: wp.int32, near: Nearness, q: wp.vec3d, limit: wp.float64
-) -> wp.int32:
+def near_count(grid: CellGrid, near: Nearness) -> wp.int32:
     """Number of the sorted points ``begin .. end - 1`` whose squared distance from q is at most ``limit``."""
     ...
 
 
 @cpp.func_native("points/search/near.inl")
-def near_mask(
-    grid: CellGrid, begin: wp.int32, end: wp.int32, near: Nearness, q: wp.vec3d, limit: wp.float64
-) -> wp.uint64:
+def near_mask(grid: CellGrid, near: Nearness) -> wp.uint64:
     """The bit mask of :func:`within_mask`, with float64 used only for points that float32 cannot decide."""
     ...
 

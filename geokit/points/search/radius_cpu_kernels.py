@@ -52,20 +52,14 @@ def count_share_kernel(first: int):
 
 @wp.kernel
 @cpp.native_item("points/search/radius_cpu.inl", "fill_share", **NUMBERS)
-def fill_share_kernel(
-    first: int,
-    queries: Queries,
-    grid: CellGrid,
-    radius: wp.array(dtype=wp.float64),
-    own: wp.int32,
-    offset: wp.array(dtype=wp.int64),
-    note_size: wp.int32,
-    note: wp.array(dtype=wp.int32),
-    by_index: wp.bool,
-    out_index: wp.array(dtype=wp.int32),
-    out_distance: wp.array(dtype=Any),
-):
+def fill_share_kernel(first: int, queries: Queries, grid: CellGrid, out_distance: wp.array(dtype=Any)):
     """Neighbors of SHARE queries, each written from its offset on, by ascending index or in the order of the cells."""
+
+
+@wp.kernel
+@cpp.native_item("points/search/radius_cpu.inl", "list_places", Queries, CellGrid, **NUMBERS)
+def list_kernel(first: int):
+    """For Verlet lists: places of the candidates of SHARE points each, by ascending rank, which is ``grid.index``."""
 
 
 # By type of the distances: with float32 a third less is written.

@@ -66,7 +66,7 @@ class VerletLists:
         from geokit.points.search import verlet_kernels as kernels
         from geokit.points.search.cells_kernels import CellGrid
         from geokit.points.search.neighbors_kernels import Queries
-        from geokit.points.search.verlet_cpu_kernels import list_kernel
+        from geokit.points.search.radius_cpu_kernels import list_kernel
 
         self._count, self._device, self._radius, self._reach = asked.count, asked.device, radius, reach
         self._images, self._points, self._farthest = images, points, farthest

@@ -42,32 +42,11 @@ class VerletLists:
 
 
 @cpp.func_native("points/search/verlet.inl")
-def near_count(
-    at: wp.array(dtype=wp.vec4d),
-    near: wp.array(dtype=wp.int32),
-    begin: wp.int32,
-    end: wp.int32,
-    place: wp.int32,
-    own: wp.int32,
-    limit: wp.float64,
-) -> wp.int32: ...
+def near_count() -> wp.int32: ...
 
 
 @cpp.func_native("points/search/verlet.inl")
-def near_fill(
-    at: wp.array(dtype=wp.vec4d),
-    near: wp.array(dtype=wp.int32),
-    begin: wp.int32,
-    end: wp.int32,
-    place: wp.int32,
-    own: wp.int32,
-    limit: wp.float64,
-    next: wp.int64,
-    soon: wp.int64,
-    to: wp.int32,
-    out_index: wp.array(dtype=wp.int32),
-    out_distance: wp.array(dtype=Any),
-): ...
+def near_fill(out_distance: wp.array(dtype=Any)): ...
 
 
 @wp.func

@@ -43,8 +43,6 @@ CLOSEST_LOOK = 0.6
 # Points of edges this near to a cell border [cells] count for both cells. An edge may cut off less of a cell than the
 # spacing of its points, and an error on a border belongs to both sides.
 BORDER = 0.5 / CREASE_POINTS
-
-
 # Depths at which creases of the distance are tested, as shares of ``within``.
 CREASE_DEPTHS = (0.0, 0.25, 0.5, 0.75, 1.0)
 # Lower limit of the squared length of the sum of two normals, reached by faces two degrees apart. Sharper edges
@@ -56,6 +54,7 @@ class _Creases(NamedTuple):
     """Unique edges of a mesh.
 
     Attributes:
+        corners: The vertices on them [world], shape (N, 3).
         ends: End points [world], shape (E, 2, 3).
         sharpness: Length of the difference of the two faces' normals, 0 to 2, shape (E,); 2 for edges without exactly
             two faces.
@@ -63,6 +62,7 @@ class _Creases(NamedTuple):
             faces changes, shape (E, 3); 0 for edges without exactly two faces.
     """
 
+    corners: NDArray[np.float64]
     ends: NDArray[np.float64]
     sharpness: NDArray[np.float64]
     between: NDArray[np.float64]
@@ -263,7 +263,7 @@ def _crease_errors(
     worst = wp.zeros(len(cells), dtype=wp.int64, device=device)
     most = -int(np.float64(limit).view(np.int64))
     for points, between in _crease_points(lattice, limit, POINTS_AT_A_TIME):
-        for depth in CREASE_DEPTHS:
+        for depth in CREASE_DEPTHS if between.any() else CREASE_DEPTHS[:1]:
             asked = points + between * (depth * lattice.within)
             exact, open_from = np.zeros(len(asked)), np.iinfo(np.int64).min
             if depth > 0.0:
@@ -287,13 +287,11 @@ def _crease_points(
     """
     mesh = lattice.surface.mesh
     creases: _Creases = mesh._cache.find("creases", lambda: _find_creases(mesh))
-    corners = np.unique(creases.ends.reshape(-1, 3), axis=0)
-    yield corners, np.zeros_like(corners)
+    yield creases.corners, np.zeros_like(creases.corners)
     sharp = SPREAD_SHARE * lattice.size * creases.sharpness > limit
     ends, between = creases.ends[sharp], creases.between[sharp]
-    counts = (
-        np.ceil(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) / lattice.size * CREASE_POINTS).astype(np.int64) + 1
-    )
+    lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    counts = np.ceil(lengths / lattice.size * CREASE_POINTS).astype(np.int64) + 1
     last = np.cumsum(counts)
     start = 0
     while start < len(counts):
@@ -309,7 +307,8 @@ def _crease_points(
 
 def _find_creases(mesh: TriangleMesh) -> _Creases:
     pairs = np.sort(np.stack([mesh.faces, np.roll(mesh.faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
-    edges, inverse, count = np.unique(pairs, axis=0, return_inverse=True, return_counts=True)
+    names, inverse, count = np.unique(pairs @ [len(mesh.vertices), 1], return_inverse=True, return_counts=True)
+    edges = np.stack(np.divmod(names, len(mesh.vertices)), axis=1)
     corners = mesh.vertices[mesh.faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(np.float64).tiny)
@@ -325,7 +324,7 @@ def _find_creases(mesh: TriangleMesh) -> _Creases:
     # At a blade this vector is long and leaves the cell in any case.
     between = np.where(convex, -2.0, 2.0)[:, None] * both / np.maximum(length_squared, BLADE)[:, None]
     between[single] = 0.0
-    return _Creases(mesh.vertices[edges], sharpness, between)
+    return _Creases(mesh.vertices[np.unique(edges)], mesh.vertices[edges], sharpness, between)
 
 
 def _on(device: "wp.Device", distance: NDArray[np.float64], points: NDArray[np.float64]) -> list["wp.array"]:

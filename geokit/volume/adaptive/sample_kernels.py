@@ -24,13 +24,7 @@ for _point, _answer in ANSWERS:
 
     @cpp.func_native("volume/adaptive/sample_cpu.inl")
     def adaptive_group(
-        levels: AdaptiveLevels,
-        start: int,
-        stop: int,
-        points: wp.array(dtype=_point),
-        origin: wp.vec3d,
-        to_index: wp.mat33d,
-        out: wp.array(dtype=_answer),
+        levels: AdaptiveLevels, points: wp.array(dtype=_point), out: wp.array(dtype=_answer)
     ) -> wp.uint64:
         """Answers the points ``start`` to ``stop``, 64 at most; returns a bit mask of those beyond level 0."""
         ...

@@ -186,13 +186,5 @@ def list_kernel(
 
 @wp.kernel
 @cpp.native_item("volume/band/balls.inl", "least_distances", SLACK=float(SLACK))
-def distance_kernel(
-    first: int,
-    balls: Balls,
-    corners: wp.array(dtype=wp.vec3i),
-    end: wp.array(dtype=wp.int32),
-    ball: wp.array(dtype=wp.int32),
-    band: wp.float64,
-    out_distance: wp.array2d(dtype=vec8d),
-):
+def distance_kernel(first: int, balls: Balls, out_distance: wp.array2d(dtype=vec8d)):
     """Least distances of a row of eight voxels to the balls in its tile's list, at most the band; 64 rows to a tile."""

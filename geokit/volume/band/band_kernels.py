@@ -105,14 +105,10 @@ def surface_is_outside_kernel(
 @cpp.native_item("volume/band/band.inl", "plane_bits")
 def bits_kernel(
     first: int,
-    rows: wp.array(dtype=int),
     distance: wp.array2d(dtype=wp.float32),
     inside: wp.array2d(dtype=wp.uint64),
-    exterior: wp.float32,
-    interior: wp.float32,
     out_active: wp.array2d(dtype=wp.uint64),
     out_negative: wp.array2d(dtype=wp.uint64),
-    out_some: wp.array(dtype=int),
 ):
     """Bit masks of a plane's active voxels and of those with a negative value; ``inside`` may be empty.
 
@@ -122,16 +118,7 @@ def bits_kernel(
 
 @wp.kernel
 @cpp.native_item("volume/band/band.inl", "write_plane")
-def leaf_values_kernel(
-    first: int,
-    begin: wp.int64,
-    rows: wp.array(dtype=int),
-    distance: wp.array2d(dtype=wp.float32),
-    inside: wp.array2d(dtype=wp.uint64),
-    exterior: wp.float32,
-    interior: wp.float32,
-    out_buffer: wp.array(dtype=wp.uint8),
-):
+def leaf_values_kernel(first: int, distance: wp.array2d(dtype=wp.float32), inside: wp.array2d(dtype=wp.uint64)):
     """Writes the values and the mask of a plane into the leaf."""
 
 

@@ -39,15 +39,7 @@ STEP = np.float32(1.00001)
     STEP=STEP,
 )
 def tile_distances(
-    tree: SurfaceTree,
-    voxel: wp.vec3i,
-    translation: wp.vec3d,
-    voxel_size: wp.float64,
-    reach: wp.float64,
-    offset: wp.float64,
-    row: int,
-    out_distance: wp.array2d(dtype=wp.float32),
-    out_slot: wp.array2d(dtype=int),
+    tree: SurfaceTree, out_distance: wp.array2d(dtype=wp.float32), out_slot: wp.array2d(dtype=int)
 ) -> int:
     """Writes 512 distances minus ``offset``, cut off at ``reach``; returns 1 if the tile needs a search per voxel."""
     ...

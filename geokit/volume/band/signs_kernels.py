@@ -21,13 +21,7 @@ LEAST_SHARE = 0.3
 
 @wp.kernel
 @cpp.native_item("volume/band/signs.inl", "write_links", REGIONS=REGIONS)
-def links_kernel(
-    first: int,
-    rows: wp.array(dtype=int),
-    distance: wp.array2d(dtype=wp.float32),
-    spacing: float,
-    out_links: wp.array2d(dtype=wp.uint64),
-):
+def links_kernel(first: int, distance: wp.array2d(dtype=wp.float32), out_links: wp.array2d(dtype=wp.uint64)):
     """Links of each plane of a leaf to the next voxel along z, along y, and to the next plane."""
 
 
@@ -35,13 +29,9 @@ def links_kernel(
 @cpp.native_item("volume/band/signs.inl", "find_regions", REGIONS=REGIONS)
 def regions_kernel(
     first: int,
-    rows: wp.array(dtype=int),
     distance: wp.array2d(dtype=wp.float32),
-    links: wp.array2d(dtype=wp.uint64),
-    known: wp.array2d(dtype=wp.uint64),
-    least: float,
-    reach: float,
-    out_seed: wp.array(dtype=int),
+    all_links: wp.array2d(dtype=wp.uint64),
+    known_bits: wp.array2d(dtype=wp.uint64),
 ):
     """The farthest voxel within reach of each region of a leaf, farthest first; -1 if there is none.
 
@@ -53,13 +43,8 @@ def regions_kernel(
 @cpp.native_item("volume/band/signs.inl", "spread_answers", REGIONS=REGIONS)
 def spread_kernel(
     first: int,
-    rows: wp.array(dtype=int),
     distance: wp.array2d(dtype=wp.float32),
-    links: wp.array2d(dtype=wp.uint64),
-    seeds: wp.array(dtype=int),
-    answers: wp.array(dtype=wp.bool),
-    spacing: float,
-    rounds: int,
+    all_links: wp.array2d(dtype=wp.uint64),
     out_known: wp.array2d(dtype=wp.uint64),
     out_inside: wp.array2d(dtype=wp.uint64),
 ):

@@ -16,13 +16,12 @@ from geokit.core.memory import available_memory
 from geokit.core.scan import prefix_sum
 from geokit.errors import DeviceMemoryError
 from geokit.volume.nanovdb.nodes import bits_of, slot_of, slot_places
-from geokit.volume.tree.root_table import root_keys_of
-from geokit.volume.tree.typed_tree import TypedTree
+from geokit.volume.tree.typed_tree import RowTable, TypedTree
 
 if TYPE_CHECKING:
     import warp as wp
 
-__all__ = ["CELL_SPANS", "Labels", "RowTable", "Rows", "active_rows", "inside_rows", "label_components"]
+__all__ = ["CELL_SPANS", "Labels", "Rows", "active_rows", "inside_rows", "label_components"]
 
 # Voxels along an edge of a cell: a voxel, and the tiles of lower nodes, upper nodes and the root.
 CELL_SPANS = (1, 8, 128, 4096)
@@ -207,29 +206,3 @@ def _contacts(rows: tuple[Rows, ...], begins: NDArray[np.int64]) -> list[tuple[A
                     cells = 512 * (begins[other] + row[is_set]) + cell[is_set]
                     found.append((kernels.tiles_kernel, 1, face, begins[number] + alone[is_set], cells))
     return found
-
-
-class RowTable:
-    """Finds rows by their first voxels (R, 3)."""
-
-    def __init__(self, origins: NDArray[np.int32]) -> None:
-        self._roots = np.unique(root_keys_of(origins))
-        keys = self._keys(origins)
-        self._order = np.argsort(keys)
-        self._keys_in_order = keys[self._order]
-
-    def find(self, origins: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Row of each place (N, 3), -1 without one."""
-        if not len(self._order):
-            return np.full(len(origins), -1)
-        keys = self._keys(origins)
-        at = np.minimum(np.searchsorted(self._keys_in_order, keys), len(self._order) - 1)
-        limits = np.iinfo(np.int32)
-        known = (self._keys_in_order[at] == keys) & ((origins >= limits.min) & (origins <= limits.max)).all(axis=1)
-        return np.where(known, self._order[at], -1)
-
-    def _keys(self, origins: NDArray[Any]) -> NDArray[np.int64]:
-        """Rank of the root entry, then the place in it in units of leaves; -1 without a root entry."""
-        roots = root_keys_of(origins)
-        rank = np.minimum(np.searchsorted(self._roots, roots), len(self._roots) - 1)
-        return np.where(self._roots[rank] == roots, rank << 27 | slot_of(origins, 512, 8), -1)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
-from geokit.volume.components.labels import CELL_SPANS, Labels, RowTable, inside_rows, label_components
+from geokit.volume.components.labels import CELL_SPANS, Labels, inside_rows, label_components
 from geokit.volume.components.split import tiles_of, volumes_of
 from geokit.volume.level_set.leaf_neighbors import AROUND
 from geokit.volume.level_set.redistance import Band
@@ -22,7 +22,7 @@ from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.nodes import bits_of
 from geokit.volume.tree.estimates import require_host_room
 from geokit.volume.tree.leaves import voxelized
-from geokit.volume.tree.typed_tree import TypedTree, tree_of
+from geokit.volume.tree.typed_tree import RowTable, TypedTree, tree_of
 from geokit.volume.tree.typed_writer import Tiles
 
 if TYPE_CHECKING:

@@ -13,8 +13,7 @@ from geokit.core.memory import available_memory
 from geokit.volume.components.labels import CELL_SPANS, Labels, Rows
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.header import info_of
-from geokit.volume.nanovdb.layout import LAYOUTS, LOWER_SLOTS, UPPER_SLOTS
-from geokit.volume.nanovdb.nodes import slot_of
+from geokit.volume.nanovdb.layout import LAYOUTS
 from geokit.volume.tree.device_leaves import build_leaves
 from geokit.volume.tree.grid_head import head_like, result_head, volume_from_buffer
 from geokit.volume.tree.typed_tree import Nodes, TypedTree, tree_of_leaves
@@ -44,18 +43,10 @@ def label_volume(labels: Labels, volume: SparseVolume) -> SparseVolume:
         if part.span == CELL_SPANS[3]:
             tree = replace(tree, root=Nodes(origins, values, np.ones(len(origins), np.bool_)))
         elif part.span == CELL_SPANS[2]:
-            tree = replace(tree, upper=_nodes(origins, values, 32, part.span))
+            tree = replace(tree, upper=Nodes.of_tiles(origins, values, True, head.background, 32, part.span))
         else:
-            tree = replace(tree, lower=_nodes(origins, values, 16, part.span))
+            tree = replace(tree, lower=Nodes.of_tiles(origins, values, True, head.background, 16, part.span))
     return volume_from_buffer(build_grid(tree, head), volume)
-
-
-def _nodes(origins: NDArray[np.int32], values: NDArray[np.int32], width: int, span: int) -> Nodes:
-    """Nodes with active tiles of nonzero values."""
-    own, node = np.unique(origins & ~np.int32(width * span - 1), axis=0, return_inverse=True)
-    table = np.zeros((len(own), LOWER_SLOTS if width == 16 else UPPER_SLOTS), np.int32)
-    table[node.reshape(-1), slot_of(origins, width, span)] = values
-    return Nodes(own, table, table != 0)
 
 
 def split_active(labels: Labels, tree: TypedTree, volume: SparseVolume) -> list[SparseVolume]:

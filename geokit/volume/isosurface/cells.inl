@@ -1,5 +1,5 @@
 // The planes of leaves, their neighbors, and which blocks have crossed cells: see cells_kernels, and of blocks of tiles
-// tile_border_cells_kernels.
+// cells_kernels.
 #include "volume/isosurface/blocks.inl"
 
 // Writes the eight planes of a leaf: bit masks of the voxels below the limit.
@@ -42,32 +42,6 @@ static constexpr auto lower_at = [](unsigned long long volume, int grid_type, co
     return -1ll - (long long)at.byte_offset;
 };
 
-// Finds the blocks above a leaf, and the tiles below it that may have crossed cells: a bit mask by direction.
-static constexpr auto link_leaf = [](const auto& cells, const auto& tree, int leaf) -> int {
-    unsigned in_tiles, out_tiles;
-    look_around(cells, tree, tree.leaf_lower.data[leaf], tree.leaf_slot.data[leaf], cells.refs.data + 8ll * leaf,
-                in_tiles, out_tiles);
-    const u64* own = cells.sides.data + 8ll * leaf;
-    u64 any = 0, all = ~0ull;
-    for (int x = 0; x < 8; ++x) {
-        any |= own[x];
-        all &= own[x];
-    }
-    int below = 0;
-    for (int e = 1; e < 8; ++e) {
-        // The leaf's voxels that the cells of the block below read.
-        const u64 column = (e & 2 ? 0xffull : ~0ull) & (e & 1 ? 0x0101010101010101ull : ~0ull);
-        if (is_border(in_tiles, out_tiles, e, (e & 4 ? own[0] : any) & column, ~(e & 4 ? own[0] : all) & column))
-            below |= 1 << e;
-    }
-    return below;
-};
-
-// The number of a leaf, from its node as node_of returns it.
-static constexpr auto leaf_at = [](const auto& cells, const auto& tree, unsigned long long node) -> int {
-    return leaf_index(cells, tree, node & ~1ull);
-};
-
 // Whether the corners of a block's cells are not all on the same side.
 static constexpr auto is_mixed = [](const auto& cells, int block) -> bool {
     const int* refs = cells.refs.data + 8ll * block;
@@ -88,16 +62,51 @@ static constexpr auto is_mixed = [](const auto& cells, int block) -> bool {
     }
     return any && ~all;
 };
+static constexpr auto mark_mixed = [](int block, const auto& cells, wp::array_t<int>& out_mixed) {
+    out_mixed.data[block] = is_mixed(cells, block);
+};
+
+// Finds the blocks above a leaf, the tiles below it that may have crossed cells, a bit mask by direction, and whether it
+// is mixed.
+static constexpr auto link_leaf = [](int leaf, const auto& cells, const auto& tree, wp::array_t<uint8_t>& out_below,
+                                     wp::array_t<int>& out_some, wp::array_t<int>& out_mixed) {
+    unsigned in_tiles, out_tiles;
+    look_around(cells, tree, tree.leaf_lower.data[leaf], tree.leaf_slot.data[leaf], cells.refs.data + 8ll * leaf,
+                in_tiles, out_tiles);
+    const u64* own = cells.sides.data + 8ll * leaf;
+    u64 any = 0, all = ~0ull;
+    for (int x = 0; x < 8; ++x) {
+        any |= own[x];
+        all &= own[x];
+    }
+    int below = 0;
+    for (int e = 1; e < 8; ++e) {
+        // The leaf's voxels that the cells of the block below read.
+        const u64 column = (e & 2 ? 0xffull : ~0ull) & (e & 1 ? 0x0101010101010101ull : ~0ull);
+        if (is_border(in_tiles, out_tiles, e, (e & 4 ? own[0] : any) & column, ~(e & 4 ? own[0] : all) & column))
+            below |= 1 << e;
+    }
+    out_below.data[leaf] = (uint8_t)below;
+    if (below) out_some.data[0] = 1;
+    out_mixed.data[leaf] = is_mixed(cells, leaf);
+};
+
+// The number of a leaf, from its node as node_of returns it.
+static constexpr auto leaf_at = [](const auto& cells, const auto& tree, unsigned long long node) -> int {
+    return leaf_index(cells, tree, node & ~1ull);
+};
 
 // Which of eight tiles may have crossed cells, an active one and its neighbors towards lower indices: a bit mask by
 // direction.
-static constexpr auto tile_border = [](const auto& cells, const auto& tree, int lower, int slot) -> int {
+static constexpr auto mark_tile_border = [](int tile, const auto& cells, const auto& tree,
+                                            const wp::array_t<int>& lower, const wp::array_t<int>& slot,
+                                            wp::array_t<uint8_t>& out_below) {
     unsigned in_tiles, out_tiles;
-    look_around(cells, tree, lower, slot, (int*)0, in_tiles, out_tiles);
+    look_around(cells, tree, lower.data[tile], slot.data[tile], (int*)0, in_tiles, out_tiles);
     int below = 0;
     for (int e = 0; e < 8; ++e)
         if (is_border(in_tiles, out_tiles, e, false, false)) below |= 1 << e;
-    return below;
+    out_below.data[tile] = (uint8_t)below;
 };
 
 // Binary search for the border block that starts at the voxel (i, j, k), -1 for none. Border blocks are sorted by x,

@@ -188,7 +188,7 @@ def _border_origins(
     """
     import warp as wp
 
-    from geokit.volume.isosurface import tile_border_cells_kernels as kernels
+    from geokit.volume.isosurface import cells_kernels as kernels
 
     found = [_blocks_below(topology.leaves.origins, leaf_below.numpy())]
     node, slot, large = topology.active_node, topology.active_slot, topology.large.blocks(isovalue)
@@ -217,7 +217,7 @@ def _blocks_below(origins: NDArray[np.int32], below: NDArray[np.uint8]) -> NDArr
 def _add_border_blocks(cells: Any, tree: Any, origins: NDArray[np.int32], isovalue: float) -> None:
     import warp as wp
 
-    from geokit.volume.isosurface import tile_border_cells_kernels as kernels
+    from geokit.volume.isosurface import cells_kernels as kernels
 
     device = cells.origin.device
     count, blocks = cells.leaf_count, len(origins)

@@ -10,7 +10,7 @@ the voxels of 64 cells at once. Only functions that read values depend on their 
 import warp as wp
 
 from geokit.core import cpp
-from geokit.volume.nanovdb.read_voxel_kernels import grid_type_of, node_of, read_voxel
+from geokit.volume.nanovdb.read_voxel_kernels import grid_type_of, is_leaf, node_of, read_voxel
 from geokit.volume.sampling.active_kernels import is_active
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
@@ -59,20 +59,14 @@ def lower_at(volume: wp.uint64, grid_type: int, tree: Tree, i: int, j: int, k: i
 
 
 @cpp.func_native("volume/isosurface/cells.inl")
-def link_leaf(cells: Cells, tree: Tree, leaf: int) -> int:
-    """Finds the blocks above a leaf; returns the tiles below it that may have crossed cells, a bit per direction."""
-    ...
-
-
-@cpp.func_native("volume/isosurface/cells.inl")
 def leaf_at(cells: Cells, tree: Tree, node: wp.uint64) -> int:
     """The number of a leaf, from its node as node_of returns it."""
     ...
 
 
 @cpp.func_native("volume/isosurface/cells.inl")
-def is_mixed(cells: Cells, block: int) -> bool:
-    """Whether the corners of a block's cells are not all on the same side."""
+def find_border_block(cells: Cells, border_count: int, i: int, j: int, k: int) -> int:
+    """The border block that starts at a voxel, -1 for none."""
     ...
 
 
@@ -159,30 +153,17 @@ def lower_neighbors_kernel(
 
 
 @wp.kernel
-def link_kernel(
-    first: int,
-    cells: Cells,
-    tree: Tree,
-    out_below: wp.array(dtype=wp.uint8),
-    out_some: wp.array(dtype=int),
-    out_mixed: wp.array(dtype=int),
-):
+@cpp.native_item("volume/isosurface/cells.inl", "link_leaf")
+def link_kernel(first: int, cells: Cells, tree: Tree):
     """Finds the blocks above each leaf, the tiles below it that may have crossed cells, and whether there are any.
 
     If there are none, out_mixed equals that of mixed_kernel.
     """
-    leaf = first + wp.tid()
-    below = link_leaf(cells, tree, leaf)
-    out_below[leaf] = wp.uint8(below)
-    if below != 0:
-        out_some[0] = 1
-    out_mixed[leaf] = int(is_mixed(cells, leaf))
 
 
 @wp.kernel
-def mixed_kernel(first: int, cells: Cells, out_mixed: wp.array(dtype=int)):
-    block = first + wp.tid()
-    out_mixed[block] = int(is_mixed(cells, block))
+@cpp.native_item("volume/isosurface/cells.inl", "mark_mixed")
+def mixed_kernel(first: int, cells: Cells): ...
 
 
 @wp.kernel
@@ -217,3 +198,109 @@ def totals_kernel(
         out_totals[kind] = starts[last] + counts[last]
     else:
         out_totals[kind] = more_starts[last] + more_counts[last]
+
+
+@wp.kernel
+def mark_used_kernel(first: int, faces: wp.array(dtype=int), out_used: wp.array(dtype=int)):
+    """Sets 1 at each vertex that a face uses; the array must be zero before."""
+    out_used[faces[first + wp.tid()]] = 1
+
+
+@wp.kernel
+def keep_used_kernel(
+    first: int,
+    vertices: wp.array(dtype=wp.vec3d),
+    used: wp.array(dtype=int),
+    place: wp.array(dtype=int),
+    out_vertices: wp.array(dtype=wp.vec3d),
+):
+    """Moves each used vertex to its place, which is the number of used vertices before it."""
+    vertex = first + wp.tid()
+    if used[vertex] != 0:
+        out_vertices[place[vertex]] = vertices[vertex]
+
+
+# Border blocks: blocks of tiles, beside leaves or other tiles, with crossed cells.
+@wp.kernel
+@cpp.native_item("volume/isosurface/cells.inl", "mark_tile_border")
+def tile_border_kernel(first: int, cells: Cells, tree: Tree): ...
+
+
+@wp.kernel
+def large_tile_border_kernel(
+    first: int,
+    volume: wp.uint64,
+    isovalue: wp.float64,
+    origin: wp.array(dtype=wp.vec3i),
+    out_below: wp.array(dtype=wp.uint8),
+):
+    """Does the same as tile_border_kernel, for blocks in tiles larger than a block."""
+    item = first + wp.tid()
+    corner = origin[item]
+    kind = grid_type_of(volume)
+    below = int(0)
+    for e in range(8):
+        low = corner - 8 * wp.vec3i(e / 4, (e / 2) % 2, e % 2)
+        some_in = int(0)
+        some_out = int(0)
+        for d in range(8):
+            at = low + 8 * wp.vec3i(d / 4, (d / 2) % 2, d % 2)
+            if is_leaf(node_of(volume, kind, at[0], at[1], at[2])):
+                if d == 0:
+                    break
+            elif value_at(volume, at[0], at[1], at[2]) < isovalue:
+                some_in = 1
+            else:
+                some_out = 1
+        if some_in + some_out == 2:
+            below = below | (1 << e)
+    out_below[item] = wp.uint8(below)
+
+
+@wp.kernel
+def border_block_kernel(
+    first: int,
+    cells: Cells,
+    tree: Tree,
+    isovalue: wp.float64,
+    border_count: int,
+    out_sides: wp.array(dtype=wp.uint64),
+    out_active: wp.array(dtype=wp.uint8),
+    out_refs: wp.array(dtype=int),
+):
+    """Writes planes, active state and upper neighbors of a border block."""
+    border = first + wp.tid()
+    block = cells.leaf_count + border
+    corner = cells.origin[block]
+    volume = cells.volume
+    kind = grid_type_of(volume)
+    code = -1 - tile_ref(volume, isovalue, corner[0], corner[1], corner[2])
+    word = wp.uint64(0)
+    if (code & INSIDE_TILE) != 0:
+        word = ~word
+    for x in range(8):
+        out_sides[8 * block + x] = word
+    out_active[border] = wp.uint8(code / ACTIVE_TILE)
+    for d in range(8):
+        at = corner + 8 * wp.vec3i(d / 4, (d / 2) % 2, d % 2)
+        node = node_of(volume, kind, at[0], at[1], at[2])
+        ref = int(0)
+        if is_leaf(node):
+            ref = leaf_at(cells, tree, node)
+        else:
+            ref = find_border_block(cells, border_count, at[0], at[1], at[2])
+            if ref < 0:
+                ref = tile_ref(volume, isovalue, at[0], at[1], at[2])
+        out_refs[8 * block + d] = ref
+
+
+@wp.kernel
+def link_border_blocks_kernel(first: int, cells: Cells, border_count: int, out_refs: wp.array(dtype=int)):
+    """Replaces references to tiles above a leaf by the number of the border block there, if there is one."""
+    item = first + wp.tid()
+    if out_refs[item] < 0:
+        d = item % 8
+        at = cells.origin[item / 8] + 8 * wp.vec3i(d / 4, (d / 2) % 2, d % 2)
+        border = find_border_block(cells, border_count, at[0], at[1], at[2])
+        if border >= 0:
+            out_refs[item] = border

@@ -177,7 +177,8 @@ static constexpr auto sharpen_plane = [](const Cells& cells, const Nets& nets, i
 };
 static constexpr auto sharpen_planes = [](int item, int span, const Cells& cells, const Nets& nets,
                                           const wp::array_t<int>& leaf, const wp::array_t<double>& tile,
-                                          const auto& linear, const auto& offset, wp::array_t<wp::vec3d>& vertex) {
+                                          const wp::mat33d& linear, const wp::vec3d& offset,
+                                          wp::array_t<wp::vec3d>& vertex) {
     for (int plane = span * item; plane < span * (item + 1); ++plane)
         sharpen_plane(cells, nets, plane, leaf, tile, linear, offset, vertex);
 };

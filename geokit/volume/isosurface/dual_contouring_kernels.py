@@ -65,14 +65,4 @@ def around_kernel(
     NO_SLOPE=NO_SLOPE,
     **NUMBERS,
 )
-def sharpen_kernel(
-    first: int,
-    span: int,
-    cells: Cells,
-    nets: Nets,
-    leaf: wp.array(dtype=int),
-    tile: wp.array(dtype=wp.float64),
-    linear: wp.mat33d,
-    offset: wp.vec3d,
-    out_vertex: wp.array(dtype=wp.vec3d),
-): ...
+def sharpen_kernel(first: int, cells: Cells, nets: Nets): ...

@@ -87,7 +87,7 @@ def used_only(vertices: "wp.array", faces: "wp.array") -> tuple["wp.array", "wp.
     import warp as wp
 
     from geokit.core.sorting.gather_kernels import GATHER
-    from geokit.volume.isosurface import compact_vertices_kernels as kernels
+    from geokit.volume.isosurface import cells_kernels as kernels
 
     device = vertices.device
     require_memory(32 * len(vertices) + 4 * len(faces), device)

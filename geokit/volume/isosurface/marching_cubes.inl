@@ -43,10 +43,11 @@ static constexpr auto point_on = [](const auto& linear, const auto& offset, cons
     return point;
 };
 
-// Counts the vertices and triangles of a plane, and writes bit masks of its crossed edges. Returns the counts and a
-// flag, packed into one word.
+// Counts the vertices and triangles of a plane, and writes bit masks of its crossed edges; the flag says that some edges
+// are dead. All threads that write it write the same value.
 static constexpr auto count_plane = [](const Cells& cells, const wp::array_t<int>& start, const wp::array_t<int>& edges,
-                                       int plane, wp::array_t<uint64_t>& records) -> int {
+                                       int plane, wp::array_t<uint64_t>& records, wp::array_t<int>& out_vertices,
+                                       wp::array_t<int>& out_triangles, wp::array_t<int>& out_flag) {
     u64 c[8], a[8], any, all;
     read_cubes(cells, plane, c, a, any, all);
     const u64 dead = dead_edges(c, a);
@@ -66,13 +67,22 @@ static constexpr auto count_plane = [](const Cells& cells, const wp::array_t<int
             triangles += start.data[code + 1] - start.data[code];
         }
     }
-    return vertices | triangles << 16 | (dead ? 1 << 30 : 0);
+    out_vertices.data[plane] = vertices;
+    out_triangles.data[plane] = triangles;
+    if (dead) out_flag.data[0] = 1;
+};
+static constexpr auto count_planes = [](int item, int span, const Cells& cells, const wp::array_t<int>& start,
+                                        const wp::array_t<int>& edges, wp::array_t<uint64_t>& records,
+                                        wp::array_t<int>& out_vertices, wp::array_t<int>& out_triangles,
+                                        wp::array_t<int>& out_flag) {
+    for (int plane = span * item; plane < span * (item + 1); ++plane)
+        count_plane(cells, start, edges, plane, records, out_vertices, out_triangles, out_flag);
 };
 
 // Places the vertices of a plane's edges. Returns false if some are left because an end lies in a tile.
 static constexpr auto place_vertices = [](const Cells& cells, int plane, const wp::array_t<uint64_t>& records,
-                                          const wp::array_t<int>& base, const auto& linear, const auto& offset,
-                                          wp::array_t<wp::vec3d>& vertex) -> bool {
+                                          const wp::array_t<int>& base, const wp::mat33d& linear,
+                                          const wp::vec3d& offset, wp::array_t<wp::vec3d>& vertex) -> bool {
     const int block = cells.crossed.data[plane >> 3], x = plane & 7;
     const u64* record = records.data + 3ll * plane;
     const wp::vec3i& first = cells.origin.data[block];
@@ -105,7 +115,8 @@ static constexpr auto place_vertices = [](const Cells& cells, int plane, const w
 // Places the vertex of one edge from the values at its ends, relative to the isovalue.
 static constexpr auto place_vertex = [](const Cells& cells, int plane, int bit, int axis, double low, double high,
                                         const wp::array_t<uint64_t>& records, const wp::array_t<int>& base,
-                                        const auto& linear, const auto& offset, wp::array_t<wp::vec3d>& vertex) {
+                                        const wp::mat33d& linear, const wp::vec3d& offset,
+                                        wp::array_t<wp::vec3d>& vertex) {
     const u64* record = records.data + 3ll * plane;
     long long at = base.data[plane] + count_bits(record[axis] & ((1ull << bit) - 1));
     for (int before = 0; before < axis; ++before) at += count_bits(record[before]);

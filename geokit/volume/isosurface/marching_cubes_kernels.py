@@ -22,68 +22,22 @@ RECORD = wp.constant(3)
 # in float64 at index 2^30.
 END = 1.0e-6
 
-TRIANGLES_SHIFT = wp.constant(16)
-HAS_DEAD = wp.constant(1 << 30)
-COUNT_MASK = wp.constant(0xFFF)
-
-
-@cpp.func_native("volume/isosurface/marching_cubes.inl", Cells, END=END)
-def count_plane() -> int:
-    """Counts the vertices and triangles of a plane, with a flag; writes bit masks of its crossed edges."""
-    ...
-
 
 @cpp.func_native("volume/isosurface/marching_cubes.inl", END=END)
-def place_vertices(
-    cells: Cells,
-    plane: int,
-    records: wp.array(dtype=wp.uint64),
-    base: wp.array(dtype=int),
-    linear: wp.mat33d,
-    offset: wp.vec3d,
-    vertex: wp.array(dtype=wp.vec3d),
-) -> bool:
+def place_vertices(cells: Cells) -> bool:
     """Places the vertices of a plane's edges; returns False if some are left because an end lies in a tile."""
     ...
 
 
 @cpp.func_native("volume/isosurface/marching_cubes.inl", END=END)
-def place_vertex(
-    cells: Cells,
-    plane: int,
-    bit: int,
-    axis: int,
-    low: wp.float64,
-    high: wp.float64,
-    records: wp.array(dtype=wp.uint64),
-    base: wp.array(dtype=int),
-    linear: wp.mat33d,
-    offset: wp.vec3d,
-    vertex: wp.array(dtype=wp.vec3d),
-):
+def place_vertex(cells: Cells):
     """Places the vertex of one edge from the values at its ends, relative to the isovalue."""
     ...
 
 
 @wp.kernel
-def count_kernel(
-    first: int,
-    span: int,
-    cells: Cells,
-    start: wp.array(dtype=int),
-    edges: wp.array(dtype=int),
-    records: wp.array(dtype=wp.uint64),
-    out_vertices: wp.array(dtype=int),
-    out_triangles: wp.array(dtype=int),
-    out_flag: wp.array(dtype=int),
-):
-    for plane in range(span * (first + wp.tid()), span * (first + wp.tid() + 1)):
-        found = count_plane(cells, start, edges, plane, records)
-        out_vertices[plane] = found & COUNT_MASK
-        out_triangles[plane] = (found >> TRIANGLES_SHIFT) & COUNT_MASK
-        # All threads that write here write the same value.
-        if (found & HAS_DEAD) != 0:
-            out_flag[0] = 1
+@cpp.native_item("volume/isosurface/marching_cubes.inl", "count_planes", Cells, END=END)
+def count_kernel(first: int): ...
 
 
 @wp.kernel

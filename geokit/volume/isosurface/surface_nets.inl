@@ -62,8 +62,8 @@ static constexpr auto place = [](const auto& linear, const auto& offset, unsigne
 };
 
 // Places the vertices of a plane's cells. Returns a bit mask of those left because a corner lies in a tile.
-static constexpr auto place_vertices = [](const Cells& cells, const Nets& nets, int plane, const auto& linear,
-                                          const auto& offset, wp::array_t<wp::vec3d>& vertex) -> u64 {
+static constexpr auto place_vertices = [](const Cells& cells, const Nets& nets, int plane, const wp::mat33d& linear,
+                                          const wp::vec3d& offset, wp::array_t<wp::vec3d>& vertex) -> u64 {
     const int block = cells.crossed.data[plane >> 3], x = plane & 7;
     const u64* record = nets.records.data + (long long)RECORD * plane;
     if (!record[0]) return 0ull;
@@ -108,7 +108,8 @@ static constexpr auto place_vertices = [](const Cells& cells, const Nets& nets, 
 
 // Places the vertices of one cell from the values at its corners, relative to the isovalue.
 static constexpr auto place_vertex = [](const Cells& cells, const Nets& nets, int plane, int bit, const auto& value,
-                                        const auto& linear, const auto& offset, wp::array_t<wp::vec3d>& vertex) {
+                                        const wp::mat33d& linear, const wp::vec3d& offset,
+                                        wp::array_t<wp::vec3d>& vertex) {
     const int block = cells.crossed.data[plane >> 3];
     const wp::vec3i& first = cells.origin.data[block];
     u64 c[8];

@@ -10,11 +10,14 @@ static constexpr auto word_of = [](const auto& table, const auto& flips, int cod
 };
 static constexpr auto loop_count = [](unsigned word) { return (int)(word >> 24 & 7u); };
 
-// Counts the vertices and quads of a plane, and writes bit masks of its cells by number of sheets. Returns the counts
-// and flags, packed into one word.
+struct PlaneCount {
+    int vertices, quads;
+    bool has_problem, is_dead;
+};
+// Counts the vertices and quads of a plane, and writes bit masks of its cells by number of sheets.
 static constexpr auto count_plane = [](const Cells& cells, const wp::array_t<uint32_t>& table,
                                        const wp::array_t<uint64_t>& flips, int plane, wp::array_t<uint64_t>& records,
-                                       wp::array_t<uint64_t>& problems) -> int {
+                                       wp::array_t<uint64_t>& problems) -> PlaneCount {
     const int block = cells.crossed.data[plane >> 3], x = plane & 7;
     u64* record = records.data + (long long)RECORD * plane;
     u64 c[8];
@@ -27,7 +30,7 @@ static constexpr auto count_plane = [](const Cells& cells, const wp::array_t<uin
     u64 crossed = any & ~all;
     for (int n = 0; n < RECORD; ++n) record[n] = 0;
     problems.data[plane] = 0;
-    if (!crossed) return 0;
+    if (!crossed) return {};
     u64 a[8], live = 0;
     cell_corners(cells, block, x, active_plane, a);
     for (int n = 0; n < 8; ++n) live |= a[n];
@@ -45,8 +48,29 @@ static constexpr auto count_plane = [](const Cells& cells, const wp::array_t<uin
     problems.data[plane] = problem;
     int vertices = 0;
     for (int n = 0; n < RECORD; ++n) vertices += (int)count_bits(record[n]);
-    return vertices | quads << QUADS_SHIFT | (dead_edges(c, a) & crossed ? 1 << 29 : 0) | (problem ? 1 << 30 : 0);
+    return {vertices, quads, problem != 0, (dead_edges(c, a) & crossed) != 0};
 };
+static constexpr auto count_planes = [](int item, int span, const Cells& cells, const wp::array_t<uint32_t>& table,
+                                        wp::array_t<uint64_t>& out_flips, wp::array_t<uint64_t>& out_records,
+                                        wp::array_t<uint64_t>& out_problems, wp::array_t<int>& out_vertices,
+                                        wp::array_t<int>& out_quads, wp::array_t<int>& out_flags) {
+    for (int plane = span * item; plane < span * (item + 1); ++plane) {
+        out_flips.data[plane] = 0;
+        const PlaneCount found = count_plane(cells, table, out_flips, plane, out_records, out_problems);
+        out_vertices.data[plane] = found.vertices;
+        out_quads.data[plane] = found.quads;
+        // All threads that write here write the same value.
+        if (found.has_problem) out_flags.data[0] = 1;
+        if (found.is_dead) out_flags.data[1] = 1;
+    }
+};
+static constexpr auto count_joined_planes =
+    [](int item, int span, const Cells& cells, const wp::array_t<uint32_t>& table, const wp::array_t<uint64_t>& flips,
+       wp::array_t<uint64_t>& problems, wp::array_t<uint64_t>& out_records, wp::array_t<int>& out_vertices) {
+        for (int plane = span * item; plane < span * (item + 1); ++plane)
+            if (flips.data[plane])
+                out_vertices.data[plane] = count_plane(cells, table, flips, plane, out_records, problems).vertices;
+    };
 
 // The case of a cell: the bit mask of its inside corners.
 static constexpr auto case_at = [](const auto& cells, const auto& table, const auto& flips, int plane, int bit) -> int {

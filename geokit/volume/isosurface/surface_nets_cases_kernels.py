@@ -14,25 +14,7 @@ from geokit.volume.isosurface.cells_kernels import RECORD, Cells, value_at
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})
 
-# Bit fields of a plane's count.
-QUADS_SHIFT = 16
-HAS_PROBLEM, HAS_DEAD = wp.constant(1 << 30), wp.constant(1 << 29)
-COUNT_MASK = wp.constant(0xFFF)
-
-NUMBERS = {"RECORD": RECORD, "QUADS_SHIFT": QUADS_SHIFT}
-
-
-@cpp.func_native("volume/isosurface/surface_nets_cases.inl", **NUMBERS)
-def count_plane(
-    cells: Cells,
-    table: wp.array(dtype=wp.uint32),
-    flips: wp.array(dtype=wp.uint64),
-    plane: int,
-    records: wp.array(dtype=wp.uint64),
-    problems: wp.array(dtype=wp.uint64),
-) -> int:
-    """Counts the vertices and quads of a plane, with flags; writes bit masks of its cells by number of sheets."""
-    ...
+NUMBERS = {"RECORD": RECORD}
 
 
 @cpp.func_native("volume/isosurface/surface_nets_cases.inl", **NUMBERS)
@@ -44,47 +26,15 @@ def case_at(
 
 
 @wp.kernel
-def count_kernel(
-    first: int,
-    span: int,
-    cells: Cells,
-    table: wp.array(dtype=wp.uint32),
-    out_flips: wp.array(dtype=wp.uint64),
-    out_records: wp.array(dtype=wp.uint64),
-    out_problems: wp.array(dtype=wp.uint64),
-    out_vertices: wp.array(dtype=int),
-    out_quads: wp.array(dtype=int),
-    out_flags: wp.array(dtype=int),
-):
+@cpp.native_item("volume/isosurface/surface_nets_cases.inl", "count_planes", Cells, **NUMBERS)
+def count_kernel(first: int):
     """Counts sheets and quads of planes, as if no cell had a joined face."""
-    for plane in range(span * (first + wp.tid()), span * (first + wp.tid() + 1)):
-        out_flips[plane] = wp.uint64(0)
-        found = count_plane(cells, table, out_flips, plane, out_records, out_problems)
-        out_vertices[plane] = found & COUNT_MASK
-        out_quads[plane] = (found >> QUADS_SHIFT) & COUNT_MASK
-        # All threads that write here write the same value.
-        if (found & HAS_PROBLEM) != 0:
-            out_flags[0] = 1
-        if (found & HAS_DEAD) != 0:
-            out_flags[1] = 1
 
 
 @wp.kernel
-def count_joined_kernel(
-    first: int,
-    span: int,
-    cells: Cells,
-    table: wp.array(dtype=wp.uint32),
-    flips: wp.array(dtype=wp.uint64),
-    problems: wp.array(dtype=wp.uint64),
-    out_records: wp.array(dtype=wp.uint64),
-    out_vertices: wp.array(dtype=int),
-):
+@cpp.native_item("volume/isosurface/surface_nets_cases.inl", "count_joined_planes", Cells, **NUMBERS)
+def count_joined_kernel(first: int):
     """Corrects the counts of planes with joined faces: each joined cell has one more sheet."""
-    for plane in range(span * (first + wp.tid()), span * (first + wp.tid() + 1)):
-        if flips[plane] != wp.uint64(0):
-            found = count_plane(cells, table, flips, plane, out_records, problems)
-            out_vertices[plane] = found & COUNT_MASK
 
 
 @wp.func

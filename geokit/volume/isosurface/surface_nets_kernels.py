@@ -38,29 +38,13 @@ class Nets:
 
 
 @cpp.func_native("volume/isosurface/surface_nets.inl", **NUMBERS)
-def place_vertices(
-    cells: Cells,
-    nets: Nets,
-    plane: int,
-    linear: wp.mat33d,
-    offset: wp.vec3d,
-    vertex: wp.array(dtype=wp.vec3d),
-) -> wp.uint64:
+def place_vertices(cells: Cells, nets: Nets) -> wp.uint64:
     """Places the vertices of a plane's cells; returns a bit mask of those left because a corner lies in a tile."""
     ...
 
 
 @cpp.func_native("volume/isosurface/surface_nets.inl", **NUMBERS)
-def place_vertex(
-    cells: Cells,
-    nets: Nets,
-    plane: int,
-    bit: int,
-    value: vec8d,
-    linear: wp.mat33d,
-    offset: wp.vec3d,
-    vertex: wp.array(dtype=wp.vec3d),
-):
+def place_vertex(cells: Cells, nets: Nets, value: vec8d):
     """Places the vertices of one cell from the values at its corners, relative to the isovalue."""
     ...
 

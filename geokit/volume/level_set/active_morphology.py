@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from geokit.core import launcher
 from geokit.core.require import require_choice
-from geokit.volume.level_set.leaf_neighbors import AROUND, LinkedLeaves
+from geokit.volume.level_set.leaf_neighbors import LinkedLeaves
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.nodes import bits_of
 from geokit.volume.tree.estimates import FARTHEST_TILE
@@ -85,21 +85,10 @@ def _with_masks(tree: TypedTree, origins: NDArray[np.int32], masks: NDArray[np.u
 
 
 def _grown(leaves: LinkedLeaves, words: "wp.array", count: int, neighbors: str) -> "wp.array":
-    import warp as wp
-
-    from geokit.volume.level_set.feature_transform_kernels import reached_box_kernel
-
     while count > 0:
         stage = min(STAGE, count)
         count -= stage
-        boxes = wp.empty((len(leaves.tiles), 6), dtype=wp.int32, device=leaves.device)
-        launcher.launch(reached_box_kernel, len(leaves.tiles), [words], [boxes], leaves.device, grain=GRAIN)
-        box = boxes.numpy().reshape(-1, 2, 3)
-        wanted = np.repeat(box[:, 1, :1] >= 0, len(AROUND), axis=1)
-        for axis in range(3):
-            wanted &= (AROUND[:, axis] >= 0) | (box[:, 0, axis, None] < stage)
-            wanted &= (AROUND[:, axis] <= 0) | (box[:, 1, axis, None] + stage > 7)
-        tiles = leaves.around(*np.nonzero(wanted))
+        tiles = leaves.within(words, stage)
         # Voxel indices must fit into int32.
         leaves.add(tiles[((tiles >= -FARTHEST_TILE) & (tiles < FARTHEST_TILE)).all(axis=1)])
         words = _stepped(leaves, leaves.extended(words, 8, 0), stage, neighbors, False)

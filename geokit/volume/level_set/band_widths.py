@@ -16,7 +16,7 @@ from geokit.volume.nanovdb.nodes import bits_of, grid_nodes
 from geokit.volume.nanovdb.types import QUANTIZED
 from geokit.volume.tree.grid_head import result_head, volume_from_buffer
 from geokit.volume.tree.leaves import build_real_grid, dequantized
-from geokit.volume.tree.typed_tree import rows_in, tree_of
+from geokit.volume.tree.typed_tree import RowTable, tree_of
 
 __all__ = ["BAND_TOLERANCE", "BandWidths", "widths_of", "with_widths"]
 
@@ -154,11 +154,11 @@ def _values(volume: SparseVolume) -> Iterator[tuple[NDArray[Any], NDArray[np.boo
 def _needed(origins: NDArray[np.int32], active: NDArray[np.bool_], is_inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Leaves that hold an active voxel, or show where the sign changes without one, as in holes of open meshes."""
     needed = np.asarray(active.any(axis=1) | (is_inside.any(axis=1) & ~is_inside.all(axis=1)))
-    cells = is_inside.reshape(-1, 8, 8, 8)
+    cells, table = is_inside.reshape(-1, 8, 8, 8), RowTable(origins)
     for axis in range(3):
         step = np.zeros(3, np.int32)
         step[axis] = 8
-        beyond = rows_in(origins, origins + step)
+        beyond = table.find(origins + step)
         row = np.flatnonzero(beyond >= 0)
         differs = np.take(cells[row], 7, axis + 1) != np.take(cells[beyond[row]], 0, axis + 1)
         row = row[differs.any(axis=(1, 2))]

@@ -49,21 +49,7 @@ def has_changed_kernel(
 
 
 @cpp.func_native("volume/level_set/feature_transform.inl")
-def nearest_of(
-    nearest: wp.array(dtype=int),
-    changed: wp.array(dtype=wp.uint64),
-    beside: wp.array2d(dtype=int),
-    feet: wp.array(dtype=wp.vec4d),
-    reach: wp.float32,
-    inner: int,
-    t: int,
-    x: int,
-    y: int,
-    z: int,
-    i: wp.float64,
-    j: wp.float64,
-    k: wp.float64,
-) -> int:
+def nearest_of(beside: wp.array2d(dtype=int)) -> int:
     """The feature with the nearest foot to voxel (x, y, z) of row t, which is (i, j, k); the first of equal ones.
 
     Candidates are its own feature and those of its changed neighbors on its side, if nearer than ``reach``.

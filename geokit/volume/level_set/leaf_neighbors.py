@@ -143,7 +143,24 @@ class LinkedLeaves:
         wp.copy(longer, array, count=len(array))
         return longer
 
-    def around(self, rows: NDArray[np.int64], sides: NDArray[np.int64]) -> NDArray[np.int32]:
+    def within(self, words: "wp.array", reach: int) -> NDArray[np.int32]:
+        """Unique coordinates of leaves without a row that are within ``reach`` [voxels] of the voxels set in words."""
+        import warp as wp
+
+        from geokit.volume.level_set.feature_transform_kernels import reached_box_kernel
+
+        count = len(self.tiles)
+        boxes = wp.empty((count, 6), dtype=wp.int32, device=self.device)
+        launcher.launch(reached_box_kernel, count, [words], [boxes], self.device, grain=64)
+        box = boxes.numpy().reshape(-1, 2, 3)
+        low, high = box[:, 0] < reach, box[:, 1] + reach > 7
+        wanted = np.repeat(box[:, 1, :1] >= 0, len(AROUND), axis=1)
+        for axis in range(3):
+            wanted &= (AROUND[:, axis] >= 0) | low[:, axis, None]
+            wanted &= (AROUND[:, axis] <= 0) | high[:, axis, None]
+        return self._around(*np.nonzero(wanted))
+
+    def _around(self, rows: NDArray[np.int64], sides: NDArray[np.int64]) -> NDArray[np.int32]:
         """Unique coordinates of the neighbors of ``rows`` that have no row yet; ``sides`` number them from 0 to 26."""
         beside = self.beside.numpy()
         missing = beside[rows, sides] < 0

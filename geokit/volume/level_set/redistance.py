@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from geokit.core import launcher
 from geokit.core.scan import prefix_sum
 from geokit.volume.level_set.band_widths import widths_of
-from geokit.volume.level_set.leaf_neighbors import AROUND, LinkedLeaves
+from geokit.volume.level_set.leaf_neighbors import LinkedLeaves
 from geokit.volume.level_set.sharp_edges import hold_beyond_edges
 from geokit.volume.model.sparse_volume import SparseVolume, made_on_device
 from geokit.volume.nanovdb.header import info_of
@@ -145,7 +145,7 @@ class Band:
         while at < end:
             step = min(STAGE, end - at)
             at += step
-            self._grow(math.ceil(step) + 1)
+            self.leaves.add(self.leaves.within(self._reached(), math.ceil(step) + 1))
             still = self.leaves.extended(still, 8, 0)
             self.nearest = self.leaves.extended(self.nearest, 512, -1)
             self._settle(still, at + WAY_MARGIN)
@@ -186,23 +186,6 @@ class Band:
         still = self._words()
         self._launch(still_kernel, [enclosed, chosen], [still])
         return still
-
-    def _grow(self, reach: int) -> None:
-        """Add leaves for all voxels within ``reach`` [voxels] of a voxel with a feature."""
-        import warp as wp
-
-        from geokit.volume.level_set.feature_transform_kernels import reached_box_kernel
-
-        count = len(self.leaves.tiles)
-        boxes = wp.empty((count, 6), dtype=wp.int32, device=self.device)
-        launcher.launch(reached_box_kernel, count, [self._reached()], [boxes], self.device, grain=GRAIN)
-        box = boxes.numpy().reshape(-1, 2, 3)
-        low, high = box[:, 0] - reach < 0, box[:, 1] + reach > 7
-        wanted = np.repeat(box[:, 1, :1] >= 0, 27, axis=1)
-        for axis in range(3):
-            wanted &= (AROUND[:, axis] >= 0) | low[:, axis, None]
-            wanted &= (AROUND[:, axis] <= 0) | high[:, axis, None]
-        self.leaves.add(self.leaves.around(*np.nonzero(wanted)))
 
     def _reached(self) -> "wp.array":
         """Bit masks of the voxels that have a feature."""

@@ -14,7 +14,7 @@ from geokit.core.scan_kernels import begin_of
 from geokit.volume.level_set.feature_transform_kernels import distance_from
 from geokit.volume.level_set.features_kernels import Features
 from geokit.volume.level_set.leaf_neighbors_kernels import bit_of, value_at
-from geokit.volume.nanovdb.read_voxel_kernels import grid_type_of, node_of, read_voxel
+from geokit.volume.nanovdb.read_voxel_kernels import grid_type_of, node_of, read_cell, read_voxel, vec8d
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
 
@@ -86,6 +86,8 @@ def height_of(field: Field, p: wp.vec3d) -> wp.float64:
     j = int(wp.floor(p[1]))
     k = int(wp.floor(p[2]))
     a = p - wp.vec3d(wp.float64(i), wp.float64(j), wp.float64(k))
+    c0, c1, c2, c3, c4, c5, c6, c7 = read_cell(field.volume, i, j, k, wp.float64(0.0))
+    raw = vec8d(c0, c1, c2, c3, c4, c5, c6, c7)
     total = wp.float64(0.0)
     for n in range(8):
         x = n >> 2
@@ -96,7 +98,7 @@ def height_of(field: Field, p: wp.vec3d) -> wp.float64:
             * wp.where(y == 1, a[1], wp.float64(1.0) - a[1])
             * wp.where(z == 1, a[2], wp.float64(1.0) - a[2])
         )
-        total += weight * height_at(field, i + x, j + y, k + z)
+        total += weight * ((raw[n] - field.isovalue) / field.scale)
     return total
 
 
@@ -370,6 +372,7 @@ def planes_kernel(
                 above = other[0] * place[0] + other[1] * place[1] + other[2] * place[2] - other[3]
                 if m != at and cosine > LIKE_DIRECTION and wp.abs(above - height[n]) < LIKE_PLANE:
                     agreed = agreed | (wp.uint64(1) << wp.uint64(at))
+                    break
             at += 1
     count = int(0)
     for k in range(sound_count):
@@ -387,6 +390,7 @@ def planes_kernel(
                 step = offset - other[3] - wp.dot(normal - beside, center)
                 if wp.dot(normal, beside) > SAME_DIRECTION and wp.abs(step) < SAME_PLANE:
                     is_new = False
+                    break
             if is_new:
                 out_plane[row, count] = wp.vec4d(normal[0], normal[1], normal[2], offset)
                 count += 1

@@ -36,32 +36,12 @@ NUMBERS = {"FARTHEST": int(FARTHEST), "BLOCK_WORDS": BLOCK_WORDS}
 # float64 for all other types.
 @wp.kernel
 @cpp.native_item("volume/rays/crossing_blocks.inl", "mark_row", **NUMBERS)
-def mark_blocks_kernel(
-    first: int,
-    volume: wp.uint64,
-    anchor: wp.vec3i,
-    first_block: wp.vec3i,
-    block_count: wp.vec3i,
-    below: Any,
-    above: Any,
-    out_busy: wp.array(dtype=int),
-): ...
+def mark_blocks_kernel(first: int, below: Any, above: Any): ...
 
 
 @wp.kernel
 @cpp.native_item("volume/rays/crossing_blocks.inl", "write_row", **NUMBERS)
-def write_blocks_kernel(
-    first: int,
-    volume: wp.uint64,
-    anchor: wp.vec3i,
-    first_block: wp.vec3i,
-    block_count: wp.vec3i,
-    below: Any,
-    above: Any,
-    numbers: wp.array(dtype=int),
-    out_distance: wp.array(dtype=wp.int8),
-    out_blocks: wp.array(dtype=wp.uint64),
-): ...
+def write_blocks_kernel(first: int, below: Any, above: Any): ...
 
 
 def by_voxel(kernel: Any) -> dict[bool, Any]:

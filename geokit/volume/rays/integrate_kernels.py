@@ -29,7 +29,7 @@ NUMBERS = {"STEP_DEPTH": STEP_DEPTH, "SHORTEST_STEP": SHORTEST_STEP, "OPAQUE": O
 # Warp takes no Any where something is returned.
 for _family in (wp.float32, wp.float64):
 
-    @cpp.func_native("volume/rays/integrate.inl", **NUMBERS)
+    @cpp.func_native("volume/rays/emission.inl", **NUMBERS)
     def optical_depth(field: RayField, ray: IndexRay, family: _family) -> wp.float64:
         """Integral of the values along a ray, with lengths in units of its direction.
 
@@ -38,7 +38,7 @@ for _family in (wp.float32, wp.float64):
         ...
 
 
-@cpp.func_native("volume/rays/integrate.inl", **NUMBERS)
+@cpp.func_native("volume/rays/emission.inl", **NUMBERS)
 def depth_and_emission(field: RayField, emission_volume: wp.uint64, scale: wp.float64, ray: IndexRay) -> wp.vec2d:
     """Optical depth, ``scale`` times the integral of the values, and the integral of the attenuated emission."""
     ...

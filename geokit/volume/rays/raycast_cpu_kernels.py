@@ -28,21 +28,7 @@ LARGEST_SUM = 1e300
     SHORTEST_DIRECTION=float(SHORTEST_DIRECTION),
     **NUMBERS,
 )
-def raycast_packets_kernel(
-    first: int,
-    origins: wp.array(dtype=wp.vec3d),
-    directions: wp.array(dtype=wp.vec3d),
-    field: RayField,
-    t_min: wp.float64,
-    max_distance: wp.float64,
-    isovalue: wp.float64,
-    below: Any,
-    above: Any,
-    out_t: wp.array(dtype=wp.float64),
-    out_points: wp.array(dtype=wp.vec3d),
-    out_normals: wp.array(dtype=wp.vec3d),
-    out_bad: wp.array(dtype=int),
-): ...
+def raycast_packets_kernel(first: int, field: RayField, below: Any, above: Any): ...
 
 
 RAYCAST_PACKETS = by_voxel(raycast_packets_kernel)

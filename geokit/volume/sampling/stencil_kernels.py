@@ -95,18 +95,7 @@ def weights(basis: Cubic, t: wp.float64) -> wp.mat44d:  # noqa: F811
 for _components, _center, _row in ((1, wp.float64, wp.vec4d), (3, wp.vec3d, mat34d), (4, wp.vec4d, wp.mat44d)):
 
     @cpp.func_native("volume/sampling/stencil_row.inl", defines={"COMPONENTS": str(_components)})
-    def read_row(
-        volume: wp.uint64,
-        grid_type: int,
-        near: wp.uint64,
-        far: wp.uint64,
-        i: int,
-        j: int,
-        k: int,
-        cut: int,
-        count: int,
-        center: _center,
-    ) -> _row:
+    def read_row(center: _center) -> _row:
         """Differences of up to four voxels along the last axis from ``center``; near and far are nodes from node_of."""
         ...
 
@@ -257,23 +246,17 @@ def hessian_by_rows(volume: wp.uint64, base: wp.vec3d, basis: Any, x: wp.mat44d,
 for _basis, _voxels in ((Quadratic, 3), (Cubic, 4)):
 
     @cpp.func_native("volume/sampling/stencil_float.inl", count=_voxels)
-    def float_value(
-        volume: wp.uint64, i: int, j: int, k: int, basis: _basis, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d
-    ) -> wp.float64:
+    def float_value(basis: _basis) -> wp.float64:
         """stencil_value for float grids; (i, j, k) is the first voxel of the stencil."""
         ...
 
     @cpp.func_native("volume/sampling/stencil_float.inl", count=_voxels)
-    def float_gradient(
-        volume: wp.uint64, i: int, j: int, k: int, basis: _basis, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d
-    ) -> wp.vec3d:
+    def float_gradient(basis: _basis) -> wp.vec3d:
         """stencil_gradient for float grids."""
         ...
 
     @cpp.func_native("volume/sampling/stencil_float.inl", count=_voxels)
-    def float_hessian(
-        volume: wp.uint64, i: int, j: int, k: int, basis: _basis, x: wp.mat44d, y: wp.mat44d, z: wp.mat44d
-    ) -> vec9d:
+    def float_hessian(basis: _basis) -> vec9d:
         """stencil_hessian for float grids: first, second, and mixed derivatives of the pairs (j, k), (i, k), (i, j)."""
         ...
 

@@ -30,15 +30,7 @@ ANSWERS = ((wp.vec3d, wp.float64), (wp.vec3f, wp.float32), (wp.vec3d, wp.vec3d),
 for _point, _answer in ANSWERS:
 
     @cpp.func_native("volume/sampling/trilinear_cpu.inl")
-    def interpolate_group(
-        table: LeafTable,
-        start: int,
-        stop: int,
-        points: wp.array(dtype=_point),
-        origin: wp.vec3d,
-        to_index: wp.mat33d,
-        out: wp.array(dtype=_answer),
-    ) -> wp.uint64:
+    def interpolate_group(table: LeafTable, points: wp.array(dtype=_point), out: wp.array(dtype=_answer)) -> wp.uint64:
         """Answers the points ``start`` to ``stop``, 64 at most; returns a bit mask of those that are left."""
         ...
 

@@ -24,19 +24,17 @@ from geokit.volume.tree.root_table import root_keys_of
 
 __all__ = ["GridParts"]
 
-# Lower nodes whose signs are looked at together, and bytes that are copied together.
-LOWER_AT_A_TIME, BYTES_AT_A_TIME = 64, 1 << 22
 INT32 = np.iinfo(np.int32)
 
 
 class _Lowers(NamedTuple):
-    """Lower nodes: first voxels (N, 3), numbers of leaves, boxes (N, 6), limits (N, 2), signs of their faces (N, 6)."""
+    """Lower nodes: first voxels (N, 3), numbers of leaves, boxes (N, 6), limits (N, 2), faces inside as bits (N,)."""
 
     origins: NDArray[np.int32]
     leaves: NDArray[np.int64]
     boxes: NDArray[np.int32]
     limits: NDArray[np.float32]
-    faces: NDArray[np.int8]
+    faces: NDArray[np.uint8]
 
 
 class GridParts:
@@ -51,7 +49,7 @@ class GridParts:
     def __init__(self, folder: Path, head: GridHead, *, signed: bool) -> None:
         self.head, self.signed = head, signed
         self._paths = folder / "lowers", folder / "leaves"
-        shapes = ((0, 3), np.int32), ((0,), np.int64), ((0, 6), np.int32), ((0, 2), np.float32), ((0, 6), np.int8)
+        shapes = ((0, 3), np.int32), ((0,), np.int64), ((0, 6), np.int32), ((0, 2), np.float32), ((0,), np.uint8)
         self._found, self._active = [_Lowers._make(np.zeros(shape, kind) for shape, kind in shapes)], 0
 
     def add(self, buffer: NDArray[np.uint8]) -> None:
@@ -62,15 +60,10 @@ class GridParts:
         leaves = children.sum(axis=1, dtype=np.int64)
         # Also of lower nodes without an active voxel, whose boxes start at their first voxels.
         boxes = lower.column("<i4", 0, 6).copy()
-        faces = np.full((lower.count, 6), 1, np.int8)
+        faces = np.zeros(lower.count, np.uint8)
         if self.signed:
             node, slot = np.nonzero(children)
-            ends = np.concatenate([[0], np.cumsum(leaves)])
-            for first in range(0, lower.count, LOWER_AT_A_TIME):
-                stop = min(first + LOWER_AT_A_TIME, lower.count)
-                part = slice(ends[first], ends[stop])
-                signs = face_signs(leaf.values[part])
-                faces[first:stop] = flood(stop - first, 16, node[part] - first, slot[part], signs)[1]
+            _, faces = flood(lower.count, 4, node, slot, face_signs(leaf.values))
         self._found.append(_Lowers(lower.origins, leaves, boxes, lower.limits.copy(), faces))
         self._active += int(tree_header(buffer)["voxel_count"])
         for path, level in zip(self._paths, (lower, leaf), strict=True):
@@ -108,8 +101,12 @@ class GridParts:
         self, places: Places, lowers: _Lowers, upper_of: NDArray[np.int64], slots: NDArray[np.int64], count: int
     ) -> tuple[list[NDArray[np.uint8]], NDArray[np.uint8], NDArray[np.int32], NDArray[np.float32]]:
         """Upper nodes, the faces that lie inside as bits, boxes (U, 6) and limits (U, 2)."""
+        from geokit.volume.tree.node_signs_kernels import INSIDE
+
         layout, head = self.head.layout, self.head
-        nodes, faces = [], np.zeros(count, np.uint8)
+        nodes, faces, states = [], np.zeros(count, np.uint8), np.zeros((count, 1), np.uint8)
+        if self.signed:
+            states, faces = flood(count, 5, upper_of, slots, lowers.faces)
         boxes = np.tile(np.array([INT32.max] * 3 + [INT32.min] * 3, np.int32), (count, 1))
         limits = np.zeros((count, 2), np.float32)
         starts = np.searchsorted(upper_of, np.arange(count + 1))
@@ -118,12 +115,10 @@ class GridParts:
             slot = slots[rows]
             node = np.zeros(layout.upper_size, np.uint8)
             level = NodeLevel(node, layout, "upper", 0, 1, layout.upper_size, layout.upper_table, 32, 128)
-            signs, own = flood(1, 32, np.zeros(len(rows), np.int64), slot, lowers.faces[rows])
-            level.values[0] = np.where(signs[0] < 0, head.inside, head.background) if self.signed else head.background
+            level.values[0] = np.where(states[i] == int(INSIDE), head.inside, head.background)
             at = places.upper_begin + i * layout.upper_size
             level.child_offsets[0, slot] = places.lower_begin + rows * layout.lower_size - at
             np.bitwise_or.at(level.child_mask[0], slot >> 3, (1 << (slot & 7)).astype(np.uint8))
-            faces[i] = int(((own[0] < 0) << np.arange(6)).sum())
             some = rows[lowers.boxes[rows, 0] <= lowers.boxes[rows, 3]]
             box = level.column("<i4", 0, 6)[0]
             box[:] = [*(lowers.origins[rows[0]] & ~np.int32(4095)), *[INT32.min] * 3]

@@ -42,12 +42,20 @@ static constexpr auto tile_state = [](const auto& dense, int x, int y, int z, fl
     // A block with both signs cannot be a tile, so it is a leaf without active voxels.
     return all == 255 ? INSIDE : LEAF;
 };
+static constexpr auto write_state = [](int tile, const auto& dense, const wp::vec3i& shift, int count_y, int count_z,
+                                       float background, double tolerance, int level_set, auto& out_state) {
+    const int x = 8 * (tile / (count_z * count_y)) - shift[0], y = 8 * (tile / count_z % count_y) - shift[1],
+              z = 8 * (tile % count_z) - shift[2];
+    out_state.data[tile] = (unsigned char)tile_state(dense, x, y, z, background, tolerance, level_set);
+};
 
 // Writes a tile's values and the mask of its active voxels; inactive voxels take the background's value, in a level
 // set with their own sign.
-static constexpr auto fill_tile = [](const auto& dense, int x, int y, int z, float background, double tolerance,
-                                     int level_set, int row, wp::array_t<float>& out_values,
-                                     wp::array_t<uint8_t>& out_masks) {
+static constexpr auto fill_tile = [](int t, const auto& dense, const wp::vec3i& shift, const wp::array_t<int>& tiles,
+                                     const wp::array_t<int>& rows, float background, double tolerance, int level_set,
+                                     wp::array_t<float>& out_values, wp::array_t<uint8_t>& out_masks) {
+    const int row = rows.data[t], x = 8 * tiles.data[3 * t] - shift[0], y = 8 * tiles.data[3 * t + 1] - shift[1],
+              z = 8 * tiles.data[3 * t + 2] - shift[2];
     v8* to = (v8*)((char*)out_values.data + row * (size_t)out_values.strides[0]);
     unsigned char* mask = out_masks.data + row * (size_t)out_masks.strides[0];
     for (int n = 0; n < 64; ++n) {

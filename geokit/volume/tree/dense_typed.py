@@ -16,8 +16,7 @@ from geokit.core.launcher import pool
 from geokit.core.memory import available_memory
 from geokit.core.require import described, read_array
 from geokit.errors import InputError
-from geokit.volume.nanovdb.layout import LAYOUTS, LEAF_VOXELS, LOWER_SLOTS, GridLayout
-from geokit.volume.nanovdb.nodes import slot_of
+from geokit.volume.nanovdb.layout import LAYOUTS, LEAF_VOXELS, GridLayout
 from geokit.volume.nanovdb.types import CLASS_TYPES, WHOLE_TYPES, WHOLE_VECTOR_TYPES
 from geokit.volume.tree.typed_tree import VALUE_TYPES, Nodes, TypedTree, tree_of_leaves
 
@@ -103,7 +102,10 @@ def tree_of_dense(dense: NDArray[Any], start: NDArray[np.int64], rule: DenseRule
     masks = np.empty((len(places), LEAF_VOXELS // 8), np.uint8)
     pool().map(lambda x: tiles.fill(x, places, values, masks), tiles.layers)
     tree = tree_of_leaves(layout, background, tiles.origins_of(places), masks, values)
-    return replace(tree, lower=_inside(tiles.origins_of(np.argwhere(states == INSIDE)), background))
+    inside = tiles.origins_of(np.argwhere(states == INSIDE))
+    # Unsigned numbers and bits have no negative.
+    value = -background if len(inside) else background
+    return replace(tree, lower=Nodes.of_tiles(inside, value, False, background, 16, 8))
 
 
 class _Tiles:
@@ -189,16 +191,6 @@ def _any(voxels: NDArray[np.bool_]) -> NDArray[np.bool_]:
     a, b, c = (n // 8 for n in voxels.shape)
     words = np.ascontiguousarray(voxels).view(np.uint64).reshape(a, 8, b, 8, c)
     return np.asarray(np.bitwise_or.reduce(np.bitwise_or.reduce(words, axis=3), axis=1) != 0)
-
-
-def _inside(origins: NDArray[np.int32], background: NDArray[Any]) -> Nodes:
-    """Lower nodes that hold tiles of minus the background."""
-    nodes, row = np.unique(origins & ~np.int32(127), axis=0, return_inverse=True)
-    values = np.empty((len(nodes), LOWER_SLOTS, *background.shape), background.dtype)
-    values[:] = background
-    if len(origins):  # unsigned numbers and bits have no negative
-        values[row.reshape(-1), slot_of(origins, 16, 8)] = -background
-    return Nodes(nodes, values, np.zeros((len(nodes), LOWER_SLOTS), np.bool_))
 
 
 def layout_for(values: NDArray[Any], grid_type: str | None, grid_class: str) -> GridLayout:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.memory.host_array import HostArray
 from geokit.errors import InputError
 from geokit.volume.nanovdb.layout import LEAF_VOXELS
 from geokit.volume.nanovdb.nodes import NodeLevel, slot_of
@@ -58,12 +59,12 @@ def build_leaves(
     inside = None
     if signed:
         inside = wp.empty((count, 8), dtype=wp.uint64, device=device)
-        flat = _shared(values.reshape(-1), wp.float32)
+        flat = HostArray(values.reshape(-1))
         launcher.launch(negative_bits_kernel, 8 * count, [wp.int64(0), rows, flat], [inside], device)
 
     def write(buffer: Any, begin: int) -> None:
-        words = _shared(values.reshape(-1).view(np.int32), wp.int32)
-        bits = _shared(masks.reshape(-1).view(np.uint64), wp.uint64)
+        words = HostArray(values.reshape(-1).view(np.int32))
+        bits = HostArray(masks.reshape(-1).view(np.uint64))
         launcher.launch(copy_leaves_kernel, 8 * count, [wp.int64(begin), rows, words, bits], [buffer], device)
 
     built = build_on_device(leaves, head, write, inside)
@@ -109,16 +110,8 @@ def _ordered(origins: NDArray[np.int32]) -> tuple[Leaves, NDArray[np.int64]]:
     if len(twice):
         first, second = order[twice[0]], order[twice[0] + 1]
         raise InputError(f"leaf_origins: row {second} repeats row {first}; give each leaf once")
-    rows = _shared(order.astype(np.int32), wp.int32)
-    return Leaves(_shared(keys[order], wp.int64), _shared(origins >> 3, wp.vec3i), rows, uppers), order
-
-
-def _shared(numbers: NDArray[Any], dtype: Any) -> Any:
-    """The numbers as a warp array on the CPU, without a copy where they are contiguous."""
-    import warp as wp
-
-    device = launcher.resolve_device("cpu")
-    return wp.array(np.ascontiguousarray(numbers), dtype=dtype, device=device, copy=False)
+    tiles: Any = wp.array(origins >> 3, dtype=wp.vec3i, device=launcher.resolve_device("cpu"))
+    return Leaves(HostArray(keys[order]), tiles, HostArray(order.astype(np.int32)), uppers), order
 
 
 def _checked_origins(leaf_origins: NDArray[np.int32]) -> NDArray[np.int32]:

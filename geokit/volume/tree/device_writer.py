@@ -19,6 +19,7 @@ from geokit.volume.nanovdb.checksum import partial_checksum
 from geokit.volume.nanovdb.grid_array import array_of, empty_grid
 from geokit.volume.nanovdb.header import HEAD_SIZE, aligned_buffer, grid_header
 from geokit.volume.nanovdb.layout import GridLayout
+from geokit.volume.tree.flood_signs import spread_signs
 from geokit.volume.tree.grid_head import GridHead, Places, places_of, write_head, write_root
 
 if TYPE_CHECKING:
@@ -47,9 +48,9 @@ class Leaves:
             arrays, along x, y and z, each addressed by 12 bits of a key, or one (U, 3) addressed by all 36 bits.
     """
 
-    keys: "wp.array"
+    keys: "wp.array | HostArray"
     tiles: "wp.array"
-    rows: "wp.array"
+    rows: "wp.array | HostArray"
     axes: tuple[NDArray[np.int64], ...] | NDArray[np.int64]
 
     @cached_property
@@ -196,36 +197,23 @@ class _Nodes:
 def _spread_signs(
     inside: "wp.array | None", leaves: Leaves, lower: _Level, upper: _Level
 ) -> tuple[list[ScratchArray | None], Any]:
-    """States of the slots of lower and upper nodes, and the faces of the upper nodes, for the host to read.
-
-    A narrow band keeps every sign change inside its leaves, so a slot without a child lies on one side, which the
-    touching face of any neighbor shows. One sweep each along z, y and x reaches every slot of a node with a child.
-    """
+    """States of the slots of lower and upper nodes, and the faces of the upper nodes, for the host to read."""
     import warp as wp
 
-    from geokit.volume.tree import node_signs_kernels as kernels
+    from geokit.volume.tree.node_signs_kernels import leaf_faces_kernel
 
     if inside is None:
         return [None, None], HostArray(np.zeros(upper.count, np.uint8))
     device = inside.device
     count = len(leaves.keys)
-    faces: Any
     faces, of_lower = Scratch(device, ((count,), wp.uint8), ((lower.count,), wp.uint8)).arrays
     slots = (lower.count << (3 * LOWER_BITS), upper.count << (3 * UPPER_BITS))
     states: list[ScratchArray | None] = [*Scratch(device, *(((n,), wp.uint8) for n in slots), zeroed=True).arrays]
-    launcher.launch(kernels.leaf_faces_kernel, count, [inside], [faces], device)
+    launcher.launch(leaf_faces_kernel, count, [inside], [faces], device)
     (of_upper,) = host_arrays(device, ((upper.count,), np.uint8))
-    for keys, level, bits, state, next_faces in (
-        (leaves.keys, lower, LOWER_BITS, states[0], of_lower),
-        (lower.keys, upper, UPPER_BITS, states[1], of_upper),
-    ):
-        inputs = [keys, 3 * bits, level.parent, faces]
-        launcher.launch(kernels.place_children_kernel, count, inputs, [state], device)
-        for axis in (2, 1, 0):
-            launcher.launch(kernels.sweep_kernel, level.count << (2 * bits), [bits, axis], [state], device)
-        count, faces = level.count, next_faces
-        launcher.launch(kernels.node_faces_kernel, count, [bits, state], [faces], device)
-    return states, faces
+    spread_signs(LOWER_BITS, leaves.keys, lower.parent, faces, states[0], of_lower, device)
+    spread_signs(UPPER_BITS, lower.keys, upper.parent, of_lower, states[1], of_upper, device)
+    return states, of_upper
 
 
 def _level_layouts(layout: GridLayout, places: Places) -> tuple[Any, Any]:

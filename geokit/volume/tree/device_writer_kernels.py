@@ -92,17 +92,7 @@ class LevelLayout:
 
 @wp.kernel
 @cpp.native_item("volume/tree/device_writer.inl", "link_word")
-def link_kernel(
-    first: int,
-    level: LevelLayout,
-    parent_keys: wp.array(dtype=wp.int64),
-    first_child: wp.array(dtype=int),
-    child_keys: wp.array(dtype=wp.int64),
-    state: wp.array(dtype=wp.uint8),
-    outside: wp.uint64,
-    inside: wp.uint64,
-    out_buffer: wp.array(dtype=wp.uint8),
-):
+def link_kernel(first: int, level: LevelLayout):
     """Writes 64 slots of a node: offsets of the children, tiles between them, and a word of the child mask."""
 
 

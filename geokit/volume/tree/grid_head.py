@@ -34,7 +34,7 @@ from geokit.volume.nanovdb.header_options import (
 )
 from geokit.volume.nanovdb.layout import LAYOUTS, GridLayout
 from geokit.volume.nanovdb.nodes import grid_nodes
-from geokit.volume.tree.root_table import root_keys_of, root_spans, with_gaps
+from geokit.volume.tree.root_table import gaps_inside, root_keys_of, root_spans, with_gaps
 
 __all__ = [
     "GridHead",
@@ -205,10 +205,7 @@ def write_head(head: GridHead, places: Places, upper_faces: NDArray[np.uint8]) -
     table["value"] = head.background
     to_upper = places.upper_begin - HEAD_SIZE + places.root_child * head.layout.upper_size
     table["child"] = np.where(places.root_child >= 0, to_upper, 0)
-    for row, below, above in places.gaps:
-        # The gap lies inside if both its ends along z do: faces 5 (upper z) and 4 (lower z).
-        if upper_faces[below] >> 5 & 1 and upper_faces[above] >> 4 & 1:
-            table["value"][row] = head.inside
+    table["value"][gaps_inside(places.gaps, upper_faces)] = head.inside
     return buffer
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.memory.host_array import HostArray
 from geokit.errors import InputError
 from geokit.volume.nanovdb.grid_array import array_of
 from geokit.volume.nanovdb.header import grid_header
@@ -214,8 +215,6 @@ def in_tasks(first: int, stop: int, work: Callable[[int, int], float]) -> float:
 
 def fewest_bits(reader: LeafReader, tolerance: float, rounding: NDArray[np.float32]) -> NDArray[np.uint8]:
     """Smallest width of each leaf that keeps the tolerance, 16 bits if none does."""
-    import warp as wp
-
     from geokit.volume.tree.quantize_kernels import bits_kernel
 
     device = launcher.resolve_device("cpu")
@@ -223,10 +222,9 @@ def fewest_bits(reader: LeafReader, tolerance: float, rounding: NDArray[np.float
     for leaves in reader.float_leaves():
         count = len(leaves.starts)
         out = bits[leaves.first : leaves.first + count]
-        rest = _on_cpu(tolerance - leaves.loss, wp.float64)
-        inputs = [array_of(leaves.memory), _on_cpu(leaves.starts, wp.int64), rest]
-        inputs.append(_on_cpu(rounding, wp.float32))
-        launcher.launch(bits_kernel, count, inputs, [_on_cpu(out, wp.uint8)], device, grain=LEAF_GRAIN)
+        given: list[NDArray[Any]] = [leaves.starts, tolerance - leaves.loss, rounding]
+        inputs = [array_of(leaves.memory), *map(HostArray, given)]
+        launcher.launch(bits_kernel, count, inputs, [HostArray(out)], device, grain=LEAF_GRAIN)
     return bits
 
 
@@ -244,8 +242,6 @@ def write_codes(
     Raises:
         InputError: A value is not finite.
     """
-    import warp as wp
-
     from geokit.volume.tree.quantize_kernels import encode_kernel
 
     device = launcher.resolve_device("cpu")
@@ -255,10 +251,9 @@ def write_codes(
     worst = 0.0
     for leaves in reader.float_leaves():
         rows = slice(leaves.first, leaves.first + len(leaves.starts))
-        inputs = [array_of(leaves.memory), _on_cpu(leaves.starts, wp.int64)]
-        inputs += [_on_cpu(array[rows], wp.uint8) for array in (bits, flags)]
-        inputs += [_on_cpu(rounding, wp.float32), _on_cpu(target.leaf_starts[rows], wp.int64)]
-        outputs = [array_of(target.buffer), _on_cpu(measures[rows], wp.vec3d)]
+        given = leaves.starts, bits[rows], flags[rows], rounding, target.leaf_starts[rows]
+        inputs = [array_of(leaves.memory), *map(HostArray, given)]
+        outputs = [array_of(target.buffer), HostArray(measures[rows])]
         launcher.launch(encode_kernel, len(leaves.starts), inputs, outputs, device, grain=LEAF_GRAIN)
         error = measures[rows, 0]
         if (error < 0.0).any():
@@ -298,10 +293,3 @@ def write_floats(reader: LeafReader, target: RetypedTree) -> float:
     worst = in_tasks(0, reader.count, write)
     target.write_extrema(low, high)
     return worst
-
-
-def _on_cpu(array: NDArray[Any], dtype: Any) -> Any:
-    """Wrap the array's own memory as a warp array."""
-    import warp as wp
-
-    return wp.array(array, dtype=dtype, device="cpu", copy=False)

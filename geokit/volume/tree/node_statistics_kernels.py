@@ -18,49 +18,19 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": Fal
 
 @wp.kernel
 @cpp.native_item("volume/tree/node_statistics.inl", "measure_leaf")
-def leaf_kernel(
-    first: int,
-    begin: wp.int64,
-    tiles: wp.array(dtype=wp.vec3i),
-    rows: wp.array(dtype=int),
-    out_buffer: wp.array(dtype=wp.uint8),
-    out_boxes: wp.array(dtype=int),
-    out_extrema: wp.array(dtype=Any),
-    out_count: wp.array(dtype=int),
-):
+def leaf_kernel(first: int, out_extrema: wp.array(dtype=Any)):
     """Writes box, flag and extrema of a leaf with values and mask, and the number of its active voxels."""
 
 
 @wp.kernel
 @cpp.native_item("volume/tree/node_statistics.inl", "measure_part")
-def part_kernel(
-    first: int,
-    parts: int,
-    first_child: wp.array(dtype=int),
-    boxes: wp.array(dtype=int),
-    extrema: wp.array(dtype=Any),
-    out_boxes: wp.array(dtype=int),
-    out_extrema: wp.array(dtype=Any),
-):
+def part_kernel(first: int, extrema: wp.array(dtype=Any), out_extrema: wp.array(dtype=Any)):
     """Writes box and extrema of a part of a node's children, so that no thread has to reduce a large node alone."""
 
 
 @wp.kernel
 @cpp.native_item("volume/tree/node_statistics.inl", "measure_node")
-def node_kernel(
-    first: int,
-    level: LevelLayout,
-    parts: int,
-    first_child: wp.array(dtype=int),
-    first_leaf: wp.array(dtype=int),
-    boxes: wp.array(dtype=int),
-    extrema: wp.array(dtype=Any),
-    tiles: wp.array(dtype=wp.vec3i),
-    rows: wp.array(dtype=int),
-    out_buffer: wp.array(dtype=wp.uint8),
-    out_boxes: wp.array(dtype=int),
-    out_extrema: wp.array(dtype=Any),
-):
+def node_kernel(first: int, level: LevelLayout, extrema: wp.array(dtype=Any), out_extrema: wp.array(dtype=Any)):
     """Writes box, flag and extrema of an internal node from those of its children."""
 
 

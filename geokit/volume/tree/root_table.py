@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from geokit.errors import InputError
 from geokit.volume.nanovdb.header import FLAG_HAS_BBOX
 
-__all__ = ["root_keys_of", "root_spans", "with_gaps"]
+__all__ = ["gaps_inside", "root_keys_of", "root_spans", "with_gaps"]
 
 # Largest number of tiles between upper nodes: they are 2 MiB and cover 2.7e8 voxels of solid along an axis.
 LARGEST_GAP_TILES = 1 << 16
@@ -59,6 +59,11 @@ def with_gaps(
     rows = row_of[len(uppers) :]
     gaps = list(zip(rows.tolist(), below[pair].tolist(), above[pair].tolist(), strict=True))
     return keys[rank], child, gaps
+
+
+def gaps_inside(gaps: list[tuple[int, int, int]], faces: NDArray[np.uint8]) -> list[int]:
+    """Rows of the gaps that lie inside: both their ends do, faces +z (5) and -z (4) of the nodes below and above."""
+    return [row for row, below, above in gaps if faces[below] >> 5 & 1 and faces[above] >> 4 & 1]
 
 
 @np.errstate(over="ignore", invalid="ignore")  # transforms of damaged files

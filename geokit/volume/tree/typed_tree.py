@@ -18,13 +18,14 @@ from geokit.volume.nanovdb.header import grid_header
 from geokit.volume.nanovdb.layout import LAYOUTS, LEAF_VOXELS, LOWER_SLOTS, UPPER_SLOTS, GridLayout, layout_of
 from geokit.volume.nanovdb.nodes import NodeLevel, bits_of, grid_nodes, root_origins, slot_of, slot_places
 from geokit.volume.tree.estimates import require_host_room
+from geokit.volume.tree.root_table import root_keys_of
 
 __all__ = [
     "VALUE_TYPES",
     "Nodes",
+    "RowTable",
     "TypedTree",
     "differs",
-    "rows_in",
     "tree_of",
     "tree_of_leaves",
     "voxelized_tree",
@@ -61,6 +62,19 @@ class Nodes(NamedTuple):
         """No nodes."""
         values = np.empty((0, *slots, *layout.background.shape), layout.background.base)
         return Nodes(np.empty((0, 3), np.int32), values, np.empty((0, *slots), np.bool_))
+
+    @staticmethod
+    def of_tiles(
+        origins: NDArray[np.int32], values: Any, active: bool, background: NDArray[Any], width: int, span: int
+    ) -> Nodes:
+        """The nodes of ``width``^3 slots that hold tiles of ``span``^3 voxels, with background elsewhere."""
+        own, node = np.unique(origins & ~np.int32(width * span - 1), axis=0, return_inverse=True)
+        place = node.reshape(-1), slot_of(origins, width, span)
+        table = np.empty((len(own), width**3, *background.shape), background.dtype)
+        table[:] = background
+        states = np.zeros(table.shape[:2], np.bool_)
+        table[place], states[place] = values, active
+        return Nodes(own, table, states)
 
     @staticmethod
     def joined(parts: list[Nodes]) -> Nodes:
@@ -103,11 +117,11 @@ class TypedTree:
         values = np.empty((len(origins), *self.layout.background.shape), self.layout.background.base)
         values[:] = self.background
         active = np.zeros(len(origins), np.bool_)
-        row = rows_in(self.root.origins, origins & ~np.int32(4095))
+        row = RowTable(self.root.origins).find(origins & ~np.int32(4095))
         values[row >= 0], active[row >= 0] = self.root.values[row[row >= 0]], self.root.active[row[row >= 0]]
         # A lower node's tile is written last, since it is the more specific one.
         for nodes, width, span in ((self.upper, 32, 128), (self.lower, 16, 8)) if below_root else ():
-            row = rows_in(nodes.origins, origins & ~np.int32(span * width - 1))
+            row = RowTable(nodes.origins).find(origins & ~np.int32(span * width - 1))
             inside = row >= 0
             slot = slot_of(origins[inside], width, span)
             values[inside], active[inside] = nodes.values[row[inside], slot], nodes.active[row[inside], slot]
@@ -218,14 +232,30 @@ def _leaf_contents(leaf: NodeLevel) -> tuple[NDArray[np.uint8], NDArray[Any]]:
     return masks, leaf.values
 
 
-def rows_in(table: NDArray[np.int32], wanted: NDArray[np.int32]) -> NDArray[np.int64]:
-    """Row of each wanted corner (N, 3) in a table of corners, -1 if it is missing."""
-    if not len(table):
-        return np.full(len(wanted), -1)
-    both, number = np.unique(np.concatenate([table, wanted]), axis=0, return_inverse=True)
-    row = np.full(len(both), -1)
-    row[number.reshape(-1)[: len(table)]] = np.arange(len(table))
-    return row[number.reshape(-1)[len(table) :]]
+class RowTable:
+    """Finds rows by their first voxels (R, 3), multiples of 8."""
+
+    def __init__(self, origins: NDArray[np.int32]) -> None:
+        self._roots = np.unique(root_keys_of(origins))
+        keys = self._keys(origins)
+        self._order = np.argsort(keys)
+        self._keys_in_order = keys[self._order]
+
+    def find(self, origins: NDArray[Any]) -> NDArray[np.int64]:
+        """Row of each place (N, 3), -1 without one."""
+        if not len(self._order):
+            return np.full(len(origins), -1)
+        keys = self._keys(origins)
+        at = np.minimum(np.searchsorted(self._keys_in_order, keys), len(self._order) - 1)
+        limits = np.iinfo(np.int32)
+        known = (self._keys_in_order[at] == keys) & ((origins >= limits.min) & (origins <= limits.max)).all(axis=1)
+        return np.where(known, self._order[at], -1)
+
+    def _keys(self, origins: NDArray[Any]) -> NDArray[np.int64]:
+        """Rank of the root entry, then the place in it in units of leaves; -1 without a root entry."""
+        roots = root_keys_of(origins)
+        rank = np.minimum(np.searchsorted(self._roots, roots), len(self._roots) - 1)
+        return np.where(self._roots[rank] == roots, rank << 27 | slot_of(origins, 512, 8), -1)
 
 
 def _without_active(nodes: Nodes, background: NDArray[Any]) -> Nodes:

@@ -16,8 +16,8 @@ from geokit.accuracy.charts import sign as chart_sign
 from geokit.accuracy.charts.makers import mesh_charts
 from geokit.accuracy.charts.mesh_setup import MeshSetup
 from geokit.accuracy.reference import mesh as reference
-from geokit.accuracy.trials.held_bytes import held_bytes
 from geokit.accuracy.trials.model import Chart, Subject, Trial
+from geokit.accuracy.trials.running import held_bytes
 from geokit.errors import InputError
 from geokit.mesh import Surface, TriangleMesh
 

@@ -1,4 +1,5 @@
-"""Numbers in text, as the parser in C++ reads them: the float64 that Python reads, bit for bit, or no answer at all."""
+"""Numbers in text: the parser in C++ reads the float64 that Python reads, bit for bit, or nothing; the writer in C++
+writes what Python writes."""
 
 from __future__ import annotations
 
@@ -12,7 +13,8 @@ from hypothesis import strategies as st
 
 import geokit as gk
 from geokit.formats.text_files import decimal
-from geokit.formats.text_files.decimal import parse
+from geokit.formats.text_files.decimal import ROWS, parse, written_lines, written_rows
+from geokit.native.parsers import extension
 from geokit.native.parsers.extension import parsers
 from geokit.points import _io as io
 from tests.support.effort import of_all
@@ -158,6 +160,46 @@ def test_damaged_text_is_read_as_python_reads_it_or_not_at_all():
         rows = [[float(word) for word in line.split()] for line in bytes(copy).split(b"\n") if line.strip()]
         np.testing.assert_array_equal(table, rows)
     assert 80 < answered < 720
+
+
+def written(*tables, **options) -> list[str]:
+    return b"".join(written_lines(*tables, **options)).decode().splitlines()
+
+
+@given(st.lists(st.floats(), min_size=1, max_size=40))
+def test_each_number_is_written_as_python_writes_it(values):
+    assert written(np.array(values)) == list(map(repr, values))
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_numbers_written_next_to_powers(sign):
+    twos = np.ldexp(1.0, np.arange(-1074, 1024))
+    tens = np.array([float(f"{digits}e{power}") for digits in (1, 2, 12, 99) for power in range(-323, 307)])
+    values = sign * np.concatenate([twos, np.nextafter(twos, 0), np.nextafter(twos, np.inf), tens, [np.inf, np.nan]])
+    assert written(values) == list(map(repr, values.tolist()))
+
+
+def test_columns_of_every_kind_written_side_by_side(monkeypatch):
+    # Several parts, in their order, the last one short; the same without the extension.
+    rows = 2 * ROWS + 3
+    chance = np.random.default_rng(5)
+    whole = chance.integers(-(2**63), 2**63 - 1, (rows, 2))
+    columns = (chance.normal(size=(rows, 3)), whole, whole[:, 0].view(np.uint64), whole[:, 0] < 0)
+    short = chance.normal(size=(rows, 2)).astype(np.float32)
+    found = written(*columns, short, prefix="a ", separator=",")
+    for at in (0, 1, ROWS - 1, ROWS, rows - 1):
+        floats, numbers, plain, sign = (column[at].tolist() for column in columns)
+        assert found[at] == "a " + ",".join(map(repr, [*floats, *numbers, plain, int(sign), *short[at].tolist()]))
+    assert len(found) == rows
+    assert b"".join(written_rows("<{}/{}>", whole[:2])).decode() == "".join("<{}/{}>".format(*row) for row in whole[:2])
+    monkeypatch.setattr(extension, "parsers", lambda: None)
+    assert written(*columns, short, prefix="a ", separator=",") == found
+
+
+@pytest.mark.parametrize(("pattern", "room"), [(b"\0 \0", 1000), (b"\0 \0 \1", 2 * 77 - 1)])
+def test_the_writer_refuses_what_does_not_fit(pattern, room):
+    with pytest.raises(ValueError, match="pattern"):
+        parsers().write_rows(np.zeros((2, 3), np.uint64), pattern, np.empty(room, np.uint8))
 
 
 @pytest.mark.parametrize("kind", ["xyz", "csv", "pts", "pcd", "ply"])

@@ -9,7 +9,7 @@ import warp as wp
 import geokit as gk
 from benchmarks.catalog import mesh_catalog
 from geokit.core import launcher
-from geokit.mesh.bvh import bvh2_ray_candidates_cuda_kernels as kernels
+from geokit.mesh.bvh import ray_walk_kernels as kernels
 from geokit.mesh.bvh.tree_kernels import LEFT_OVER, SurfaceTree
 from geokit.mesh.queries.raycast_kernels import occluded_left_over_kernel
 from geokit.mesh.queries.rays import wide_slots

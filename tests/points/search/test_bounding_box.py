@@ -8,7 +8,7 @@ import warp as wp
 
 from geokit.core import launcher
 from geokit.points.search import cells_kernels as kernels
-from geokit.points.search.bounding_box_cpu_kernels import SHARE, SURVEY_HOST
+from geokit.points.search.cells_cpu_kernels import SHARE, SURVEY_HOST
 
 CPU = wp.get_device("cpu")
 

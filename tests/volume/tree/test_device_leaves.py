@@ -18,6 +18,7 @@ from geokit.volume.nanovdb.checksum import checksum_matches, checksum_mode
 from geokit.volume.nanovdb.header import info_of, tree_header
 from geokit.volume.nanovdb.write import write
 from geokit.volume.tree.flood_signs import flood
+from geokit.volume.tree.node_signs_kernels import INSIDE, OUTSIDE
 from tests.support.nanovdb_validate import assert_validated, needs_validate
 
 OPTIONS = {"background": 3.0, "transform": np.eye(4), "name": "g", "grid_class": "level set", "signed_fill": True}
@@ -75,13 +76,13 @@ def test_gaps_between_separate_bodies_stay_outside():
 
 
 def test_flood_reaches_every_slot_from_one_child():
-    faces = np.array([[-1, 1, -1, 1, -1, 1]], np.int8)
-    signs, own = flood(1, 16, np.array([0]), np.array([5 << 8 | 6 << 4 | 7]), faces)
-    assert (signs != 0).sum() == 16**3 - 1
-    table = signs.reshape(16, 16, 16)
-    assert table[5, 6, 6] == -1
-    assert table[5, 6, 8] == 1
-    assert own.shape == (1, 6)
+    faces = np.array([0b010101], np.uint8)
+    states, own = flood(1, 4, np.array([0]), np.array([5 << 8 | 6 << 4 | 7]), faces)
+    assert np.isin(states, (int(OUTSIDE), int(INSIDE))).sum() == 16**3 - 1
+    table = states.reshape(16, 16, 16)
+    assert table[5, 6, 6] == int(INSIDE)
+    assert table[5, 6, 8] == int(OUTSIDE)
+    assert own.shape == (1,)
 
 
 def test_without_signed_fill_empty_regions_have_the_background():

@@ -20,7 +20,7 @@ from geokit.volume.tree.typed_writer import build_grid
 
 
 def both(origins, values, masks, *, grid_class="level set", transform=None, background=3.0):
-    """The device writer's grid, and that of the typed writer, which shares no code with it but the head's."""
+    """The device writer's grid, and that of the typed writer, which shares only head and signs with it."""
     transform = np.eye(4) if transform is None else transform
     signed = grid_class == "level set"
     head = checked_head("float", background, -background, transform, "g", grid_class)

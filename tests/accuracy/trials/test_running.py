@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from geokit.accuracy.trials.time_left import PATIENCE, time_left
+from geokit.accuracy.trials.running import PATIENCE, time_left
 
 
 @pytest.mark.parametrize(("passed", "done"), [(PATIENCE / 2, 3), (10.0, 0)])

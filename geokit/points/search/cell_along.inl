@@ -1,8 +1,12 @@
 // The cell of a coordinate on one axis, and the cells of the group that is searched.
 #pragma once
 
-// Equal to the result of cell_along in cells_kernels.
-static constexpr auto cell_along = [](const CellGrid& cells, int axis, double at) -> int {
+// The cell of a coordinate on one axis, clamped to the grid.
+//
+// The search, the subtraction, the product, the clamp and the truncation are all monotone, rounding included: a
+// coordinate between two others gets a cell between theirs. The exactness of a search needs only this property of the
+// cells, whatever their sizes.
+static constexpr auto cell_along = [](const auto& cells, int axis, double at) -> int {
     int i = cells.first_cut[axis];
     for (int last = cells.last_cut[axis]; i < last;) {
         const int middle = (i + last + 1) / 2;
@@ -10,12 +14,13 @@ static constexpr auto cell_along = [](const CellGrid& cells, int axis, double at
         else last = middle - 1;
     }
     const auto& cut = cells.cut.data[i];
+    // Clamped as a float: casting a very large coordinate to int would be undefined.
     const double top = cut[3] - 1.0, cell = (at - cut[0]) * cut[1];
     return (int)(cut[2]) + (int)(cell > 0.0 ? (cell < top ? cell : top) : 0.0);
 };
 
 // Puts the fields of a group in place of the grid's own; `entered` is the group whose fields `cells` has.
-static constexpr auto enter = [](const CellGrid& grid, int group, CellGrid& cells, int& entered) {
+static constexpr auto enter = [](const auto& grid, int group, auto& cells, int& entered) {
     if (group == entered) return;
     entered = group;
     const auto& own = grid.groups.data[group];
