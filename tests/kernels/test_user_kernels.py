@@ -192,8 +192,11 @@ def test_closest_points_and_signs_have_the_bits_of_the_calls(mesh, device, share
             np.testing.assert_array_equal(one, other)
         signed = surface.signed_distance(points, sign=sign, max_distance=reach)
         _, distance, triangle, _ = closest_inside(handle, points, device, reach, signed=True)
-        np.testing.assert_array_equal(distance, signed.distance)
         np.testing.assert_array_equal(triangle, signed.triangle_id)
+        # On a GPU winding numbers are float32, and do not tell on which side a point on the surface is.
+        told = np.abs(distance) > (1e-6 * mesh.diagonal if device != "cpu" else -1.0)
+        np.testing.assert_array_equal(distance[told], signed.distance[told])
+        np.testing.assert_array_equal(np.abs(distance), np.abs(signed.distance))
 
 
 @pytest.mark.parametrize("device", DEVICES)

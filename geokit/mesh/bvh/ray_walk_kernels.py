@@ -81,7 +81,7 @@ IS_SLIVER = 1 << 30
 # First entry of a ray's candidate list: it hits something.
 SURE = wp.constant(-3)
 
-_CONSTANTS = {
+PASS_CONSTANTS = {
     **RAY_CONSTANTS,
     "CROSSINGS": False,
     "IS_SLIVER": IS_SLIVER,
@@ -94,7 +94,12 @@ _CONSTANTS = {
 
 @wp.kernel(cuda_max_registers=REGISTERS, grid_stride=False)
 @cpp.native_item(
-    "mesh/bvh/ray_candidates_cuda.inl", "first_hit", SurfaceTree, **_CONSTANTS, CANDIDATES=CANDIDATES, ANY_HIT=False
+    "mesh/bvh/ray_candidates_cuda.inl",
+    "first_hit",
+    SurfaceTree,
+    **PASS_CONSTANTS,
+    CANDIDATES=CANDIDATES,
+    ANY_HIT=False,
 )
 def first_hit_kernel(first: int):
     """First hits; rays with too many candidates, or from too far away for float32, become UNDECIDED."""
@@ -105,7 +110,7 @@ def first_hit_kernel(first: int):
     "mesh/bvh/ray_candidates_cuda.inl",
     "any_hit",
     SurfaceTree,
-    **_CONSTANTS,
+    **PASS_CONSTANTS,
     CANDIDATES=ANY_HIT_CANDIDATES,
     ANY_HIT=True,
 )

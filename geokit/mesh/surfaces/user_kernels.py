@@ -6,10 +6,9 @@ import warp as wp
 
 from geokit.core import cpp
 from geokit.core.interop.user_arrays_kernels import is_measurable
-from geokit.mesh.bvh.bvh2_ray_candidates_cuda_kernels import ANY_HIT_CANDIDATES, CANDIDATES, IS_SLIVER, SURE
 from geokit.mesh.bvh.nearest_kernels import nearest_slot
-from geokit.mesh.bvh.ray_walk_kernels import SHORTEST_DIRECTION, WALK_CONSTANTS, is_usable, length_in_t
-from geokit.mesh.bvh.tree_kernels import LEFT_OVER, NO_CANDIDATE, UNDECIDED, SurfaceTree
+from geokit.mesh.bvh.ray_walk_kernels import ANY_HIT_CANDIDATES, CANDIDATES, PASS_CONSTANTS, WALK_CONSTANTS
+from geokit.mesh.bvh.tree_kernels import SurfaceTree
 from geokit.mesh.bvh.winding_kernels import WindingTree, is_inside, winding_number_at
 from geokit.mesh.queries.closest_point_kernels import ClosestPoint, closest_in_slot
 from geokit.mesh.queries.foot_slopes_kernels import SlopedFaces, corners_of, foot_slopes
@@ -24,16 +23,8 @@ INFINITE = wp.constant(wp.float64(wp.inf))
 NAN = wp.constant(wp.float64(wp.nan))
 ZERO = wp.constant(wp.float64(0.0))
 
-_RAYS = {
-    # One ray at a time, in queues that are read in eights.
-    **(WALK_CONSTANTS | {"IN_FLIGHT": 8}),
-    "CROSSINGS": False,
-    "IS_SLIVER": IS_SLIVER,
-    "NO_CANDIDATE": NO_CANDIDATE,
-    "UNDECIDED": UNDECIDED,
-    "LEFT_OVER": LEFT_OVER,
-    "SURE": SURE,
-}
+# One ray at a time, in queues that are read in eights.
+_RAYS = {**PASS_CONSTANTS, **WALK_CONSTANTS, "IN_FLIGHT": 8}
 
 
 @wp.struct
@@ -74,9 +65,7 @@ class RayHit:
 def cast_ray() -> wp.vec4d: ...
 
 
-@cpp.func_native(
-    "mesh/surfaces/user_rays.inl", SurfaceTree, **_RAYS, UNORDERED=True, CANDIDATES=ANY_HIT_CANDIDATES
-)
+@cpp.func_native("mesh/surfaces/user_rays.inl", SurfaceTree, **_RAYS, UNORDERED=True, CANDIDATES=ANY_HIT_CANDIDATES)
 def test_ray() -> bool: ...
 
 
@@ -170,12 +159,6 @@ def adj_signed_distance(surface: Surface, point: wp.vec3d, max_distance: wp.floa
 
 
 @wp.func
-def can_be_cast(origin: wp.vec3d, direction: wp.vec3d) -> bool:
-    largest = wp.max(wp.max(wp.abs(direction[0]), wp.abs(direction[1])), wp.abs(direction[2]))
-    return is_usable(origin, direction, largest, wp.float64(SHORTEST_DIRECTION))
-
-
-@wp.func
 def raycast(
     surface: Surface,
     origin: wp.vec3d,
@@ -194,17 +177,11 @@ def raycast(
         t_min: Hits with a smaller t are ignored, in units of the direction; not negative.
         max_distance: Length of the ray [world], not negative.
     """
+    found = cast_ray(surface.tree, origin, direction, t_min, max_distance)
     hit = RayHit()
-    hit.t = INFINITE
-    hit.triangle_id = -1
-    hit.barycentric = wp.vec3d(NAN, NAN, NAN)
-    if can_be_cast(origin, direction):
-        t_max = length_in_t(max_distance, direction)
-        found = cast_ray(surface.tree, origin, direction, t_min, t_max, max_distance)
-        hit.triangle_id = int(found[3])
-        if hit.triangle_id >= 0:
-            hit.t = found[0]
-            hit.barycentric = wp.vec3d(wp.float64(1.0) - found[1] - found[2], found[1], found[2])
+    hit.t = found[0]
+    hit.triangle_id = int(found[3])
+    hit.barycentric = wp.vec3d(wp.float64(1.0) - found[1] - found[2], found[1], found[2])
     return hit
 
 
@@ -237,8 +214,4 @@ def occluded(
     Args:
         surface, origin, direction, t_min, max_distance: As for :func:`raycast`.
     """
-    hits = bool(False)
-    if can_be_cast(origin, direction):
-        t_max = length_in_t(max_distance, direction)
-        hits = test_ray(surface.tree, origin, direction, t_min, t_max, max_distance)
-    return hits
+    return test_ray(surface.tree, origin, direction, t_min, max_distance)
