@@ -28,7 +28,7 @@ NEIGHBORS = 30
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
-@wp.kernel
+@wp.kernel(cuda_max_registers=80)
 def closest_kernel(
     surface: gk.kernels.Surface,
     points: wp.array(dtype=wp.vec3d),
@@ -41,7 +41,7 @@ def closest_kernel(
     out_point[i] = found.point
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=80)
 def signed_kernel(
     surface: gk.kernels.Surface,
     points: wp.array(dtype=wp.vec3d),
@@ -54,7 +54,7 @@ def signed_kernel(
     out_point[i] = found.point
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=48)
 def hit_kernel(
     surface: gk.kernels.Surface,
     origins: wp.array(dtype=wp.vec3d),
@@ -68,7 +68,7 @@ def hit_kernel(
     out_triangle[i] = hit.triangle_id
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=48)
 def occluded_kernel(
     surface: gk.kernels.Surface,
     origins: wp.array(dtype=wp.vec3d),
