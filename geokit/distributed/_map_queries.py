@@ -100,6 +100,8 @@ def map_queries(
         if rows[1].shape != rows[0].shape:
             raise InputError(f"directions: has shape {directions.shape} and points {points.shape}; give one for each")
         rows[1] = rows[1].rechunk(rows[0].chunks)
+    if len(getattr(options.get("transform"), "shape", ())) == 3:
+        raise InputError("transform: several poses have an axis of their own, before the rows; ask for one at a time")
     # What the answers are: those of two rows.
     try:
         sample = getattr(surface, query)(*(np.ones((2, 3), each.dtype) for each in rows), **options)

@@ -81,8 +81,8 @@ def raycast(
         isovalue: The value to find.
         t_min: Crossings nearer than this are ignored, in units of the direction.
         max_distance: Length of the rays [world]; farther crossings are misses.
-        transform: Where it is: a rigid map or mirror for column vectors, shape (4, 4). Arguments and answers are in
-            world coordinates; moving them rounds each to 1e-15 of its size. None leaves the volume in place.
+        transform: A rigid map or mirror for column vectors, (4, 4), or (B, 4, 4) for answers (B, N, ...): where it
+            is. All is in world coordinates; moving rounds by 1e-15 of the size. None leaves the volume in place.
         device: Where to compute; None for the first GPU, else the CPU. Several devices share 65,536 rows or more, of
             arrays on a GPU 2 million.
     Returns:

@@ -87,6 +87,7 @@ class Batch:
         first_row: Index of the first row among the caller's rows, for error messages.
         to_lists: The same for results that do not have one entry for each row, which keep their shape.
         is_shared: Whether the caller gets the memory of float64 results itself, in which kernels may still write.
+        lead: Leading axes of the caller's rows; None for a table (N, 3).
     """
 
     rows: Any
@@ -95,9 +96,15 @@ class Batch:
     first_row: int = 0
     to_lists: Callable[["wp.array"], Any] | None = None
     is_shared: bool = False
+    lead: tuple[int, ...] | None = None
 
     def __len__(self) -> int:
         return len(self.rows)
+
+    def of_poses(self, count: int) -> Callable[["wp.array"], Any]:
+        """``to_caller`` of results for ``count`` poses, one after the other, whose axis comes first."""
+        lead = (len(self),) if self.lead is None else self.lead
+        return _shaped(self.to_lists or self.to_caller, (count, *lead))
 
     @property
     def array(self) -> "wp.array":
@@ -172,7 +179,7 @@ def read_vectors(
         return finish(_narrowed(_as_warp(out), is_float32))
 
     is_shared = not is_float32 and lead != () and source.device == device
-    return Batch(rows, is_float32, _shaped(to_lists, lead), first_row, to_lists, is_shared)
+    return Batch(rows, is_float32, _shaped(to_lists, lead), first_row, to_lists, is_shared, lead)
 
 
 def read_rows(values: Sequence[Any], names: Sequence[str], device: "wp.Device", **how: Any) -> list[Batch]:
@@ -389,7 +396,7 @@ def _read_numpy(
     def to_lists(out: Any) -> NDArray[Any]:
         return _to_numpy(out, is_float32)
 
-    return Batch(rows, is_float32, _shaped(to_lists, lead), first_row, to_lists)
+    return Batch(rows, is_float32, _shaped(to_lists, lead), first_row, to_lists, lead=lead)
 
 
 def _shaped(give: Callable[[Any], Any], lead: tuple[int, ...] | None) -> Callable[[Any], Any]:

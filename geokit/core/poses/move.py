@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from geokit.core import launcher
 from geokit.core.base.query import Query
 from geokit.core.gradients.rules import held_by, is_tracked
 from geokit.core.interop import user_arrays
-from geokit.core.require import read_array, require_affine, require_affine_maps
+from geokit.core.require import read_array, require_affine_maps
 from geokit.errors import InputError
 
 __all__ = [
@@ -25,14 +26,14 @@ BYTES_PER_MOVE = 24
 
 
 def require_rigid(transform: Any) -> NDArray[np.float64]:
-    """A rigid map for column vectors, (4, 4), as float64.
+    """A rigid map for column vectors, (4, 4), or several, (B, 4, 4), as float64.
 
     Raises:
         InputError: It has another shape or last row, a number that is not finite, or is not rigid.
     """
-    matrix = require_affine(transform, "transform")
-    _require_orthonormal(matrix[None], "")
-    return matrix
+    maps = require_affine_maps(transform, "transform")
+    _require_orthonormal(maps.reshape(-1, 4, 4), "" if maps.ndim == 2 else "map {} is ")
+    return maps
 
 
 def require_rigid_maps(transforms: Any, count: int) -> NDArray[np.float64]:
@@ -73,8 +74,13 @@ def move(rows: Any, matrix: NDArray[np.float64], *, turned: bool = False) -> Any
     return out
 
 
-def move_packed(rows: Any, offsets: Any, maps: NDArray[np.float64], *, turned: bool = False) -> Any:
-    """As :func:`move`, in the kind of memory of ``rows``; map m moves the rows from ``offsets[m]`` on."""
+def move_packed(
+    rows: Any, offsets: Any, maps: NDArray[np.float64], *, turned: bool = False, count: int | None = None
+) -> Any:
+    """As :func:`move`, in the kind of memory of ``rows``; map m moves the rows from ``offsets[m]`` on.
+
+    Of ``count`` rows, if that is more than there are, each map makes as many as there are, from all of them.
+    """
     import warp as wp
 
     from geokit.core.poses.move_kernels import move_packed_kernel
@@ -89,21 +95,23 @@ def move_packed(rows: Any, offsets: Any, maps: NDArray[np.float64], *, turned: b
         wp.array(linear, dtype=wp.mat33d, device=device),
         wp.array(shift, dtype=wp.vec3d, device=device),
     ]
-    out = user_arrays.empty(len(rows), wp.vec3d, rows)
-    launcher.launch(move_packed_kernel, len(rows), inputs, [out], device)
+    count = len(rows) if count is None else count
+    out = user_arrays.empty(count, wp.vec3d, rows)
+    launcher.launch(move_packed_kernel, count, inputs, [out], device)
     return out
 
 
 def answer_placed(query: Query, given: tuple[Any, ...], options: dict[str, Any]) -> Any:
     """The answer of a call whose option ``transform`` says where the surface or volume is.
 
-    The query itself never sees the option. Rows and answers are moved in float64 on the device of the query.
+    The query itself never sees the option. Rows and answers are moved in float64 on the device of the query; of several
+    poses those of all are asked at once.
 
     Raises:
         InputError: The transform is not rigid, the query refuses it, or rows or the body carry gradients.
     """
     options = dict(options)
-    matrix = require_rigid(options.pop("transform"))
+    maps = require_rigid(options.pop("transform"))
     expected = query.positional[: 1 + len(query.rows)]
     if any(name not in options for name in expected[len(given) :]):
         return query.call(*given, **options)  # which names what is missing
@@ -112,21 +120,34 @@ def answer_placed(query: Query, given: tuple[Any, ...], options: dict[str, Any])
         query.places(body, **options)
     refuse_tracked(query, (body, *values), options)
     device = body._device if hasattr(body, "_device") else launcher.resolve_device(options.get("device"))
-    to_body: Any = np.linalg.inv(matrix)
     batches = user_arrays.read_rows(values[: len(query.rows)], query.rows, device)
+    placed, give = move, batches[0].to_caller
+    if maps.ndim == 3:
+        placed, give = _mover(len(batches[0]), len(maps), device), batches[0].of_poses(len(maps))
+    to_body: Any = np.linalg.inv(maps)
     rows: list[Any] = [
-        move(batch.array, to_body, turned=name == "directions") for name, batch in zip(query.rows, batches, strict=True)
+        placed(batch.array, to_body, turned=name == "directions")
+        for name, batch in zip(query.rows, batches, strict=True)
     ]
     found: Any = query.call(body, *rows, *values[len(query.rows) :], **options)
-    give = batches[0].to_caller
     if query.kind is None:
-        return give(move(found, matrix, turned=True) if query.is_turned else found)
+        return give(placed(found, maps, turned=True) if query.is_turned else found)
     fields = found._asdict()
     for field in query.moved:
-        fields[field] = move(fields[field], matrix, turned=field == "normals")
+        fields[field] = placed(fields[field], maps, turned=field == "normals")
     if query.is_ragged:
         give = batches[0].to_lists or give
     return query.kind(*map(give, fields.values()))
+
+
+def _mover(count: int, poses: int, device: Any) -> Callable[..., Any]:
+    """:func:`move` by many poses: of ``count`` rows, or of those of each pose, one after the other."""
+    import warp as wp
+
+    if count * poses > np.iinfo(np.int32).max:
+        raise InputError(f"transform: {poses} poses of {count} rows are more than 2^31 - 1; ask for fewer at a time")
+    starts = wp.array(count * np.arange(poses + 1, dtype=np.int32), dtype=wp.int32, device=device)
+    return lambda rows, maps, turned: move_packed(rows, starts, maps, turned=turned, count=count * poses)
 
 
 def refuse_tracked(query: Query, given: tuple[Any, ...], options: dict[str, Any]) -> None:

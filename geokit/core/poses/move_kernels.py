@@ -31,7 +31,7 @@ def move_packed_kernel(
     shift: wp.array(dtype=wp.vec3d),
     out_rows: wp.array(dtype=wp.vec3d),
 ):
-    """As move_kernel; map m has the rows from ``offsets[m]`` on."""
+    """As move_kernel; map m makes the rows from ``offsets[m]`` on; after the last of the given the first follows."""
     i = first + wp.tid()
     of = part_of(offsets, i)
-    out_rows[i] = linear[of] * rows[i] + shift[of]
+    out_rows[i] = linear[of] * rows[i % rows.shape[0]] + shift[of]

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable
 from typing import Any, ParamSpec, TypeVar
+
+import numpy as np
 
 from geokit.core.base.query import Query
 from geokit.core.base.snapshot import snapshot
@@ -53,8 +56,9 @@ def ask(query: Query, given: tuple[Any, ...], options: dict[str, Any]) -> Any:
     (``core/interop/user_arrays.py``, ``core/blocks/chunked_queries.py``), launches its kernels, looks at the flags that
     they raise, and hands the answer out in the caller's kind of array.
     """
-    # 1. On several devices each answers a block of the rows, by a call of its own.
-    if query.least_rows is not None and several_devices.are_asked(given, options):
+    # 1. On several devices each answers a block of the rows, by a call of its own; of many poses those of all.
+    is_posed = query.is_placed and not query.is_packed and len(_axes(options)) == 3
+    if query.least_rows is not None and not is_posed and several_devices.are_asked(given, options):
         return several_devices.answer(query, given, options)
     # 2. Where a transform says where the object is, the rows are moved to it, and what is found is moved back.
     if query.is_placed and "transform" in options:
@@ -87,8 +91,15 @@ def _search(query: Query, given: tuple[Any, ...], options: dict[str, Any]) -> An
 
 def _need(query: Query, *given: Any, **options: Any) -> int:
     """The memory that a call needs [bytes]."""
+    poses = math.prod(_axes(options)[:-2]) if not query.is_packed else 1
     transform = options.pop("transform", None) if query.is_placed else None
     first = query.rows[:1]
-    rows = count(given[1] if len(given) > 1 else options.get(*first)) if first else 0
+    rows = poses * (count(given[1] if len(given) > 1 else options.get(*first)) if first else 0)
     moves = 0 if transform is None else len(query.rows) + len(query.moved)
     return estimated(query.memory, given, options) + (query.row_bytes + BYTES_PER_MOVE * moves) * rows
+
+
+def _axes(options: dict[str, Any]) -> tuple[int, ...]:
+    """Those of a transform: three are many poses."""
+    given: Any = options.get("transform")
+    return np.shape(given)

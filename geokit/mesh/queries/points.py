@@ -100,8 +100,8 @@ class PointQueries:
         Args:
             points: Query points [world], shape (N, 3).
             max_distance: Search radius [world]; farther points are misses.
-            transform: Where it is: a rigid map or mirror for column vectors, shape (4, 4). Arguments and answers are in
-                world coordinates; moving them rounds each to 1e-15 of its size. None leaves the surface in place.
+            transform: A rigid map or mirror for column vectors, (4, 4), or (B, 4, 4) for answers (B, N, ...): where it
+                is. All is in world coordinates; moving rounds by 1e-15 of the size. None leaves the surface in place.
             progress: Called as ``progress(done, total)`` after each block of a few million queries.
         Returns:
             ClosestPoints with points (N, 3) [world], distance (N,) [world], triangle_id (N,), barycentric (N, 3). A
@@ -183,8 +183,8 @@ class PointQueries:
 
         Args:
             points: Query points [world], shape (N, 3).
-            transform: Where it is: a rigid map or mirror for column vectors, shape (4, 4). Arguments and answers are in
-                world coordinates; moving them rounds each to 1e-15 of its size. None leaves the surface in place.
+            transform: A rigid map or mirror for column vectors, (4, 4), or (B, 4, 4) for answers (B, N, ...): where it
+                is. All is in world coordinates; moving rounds by 1e-15 of the size. None leaves the surface in place.
         Returns:
             FurthestPoints with points (N, 3) [world], distance (N,) [world], triangle_id (N,).
         Raises:

@@ -123,8 +123,8 @@ class RayQueries:
             directions: Directions of any length [world], shape (N, 3), or one of shape (3,) for all.
             t_min: Hits with a smaller t are ignored, in units of the direction; for rays that start on the surface.
             max_distance: Length of the rays [world]; farther hits are misses.
-            transform: Where it is: a rigid map or mirror for column vectors, shape (4, 4). Arguments and answers are in
-                world coordinates; moving them rounds each to 1e-15 of its size. None leaves the surface in place.
+            transform: A rigid map or mirror for column vectors, (4, 4), or (B, 4, 4) for answers (B, N, ...): where it
+                is. All is in world coordinates; moving rounds by 1e-15 of the size. None leaves the surface in place.
             progress: Called as ``progress(done, total)`` after each block of a few million rays.
         Returns:
             RayHits with t (N,) in units of the direction, triangle_id (N,), barycentric (N, 3). A miss has triangle_id
@@ -186,8 +186,8 @@ class RayQueries:
             directions: Directions of any length [world], shape (N, 3), or one of shape (3,) for all.
             t_min: Crossings with a smaller t are ignored, in units of the direction.
             max_distance: Length of the rays [world].
-            transform: Where it is: a rigid map or mirror for column vectors, shape (4, 4). Arguments and answers are in
-                world coordinates; moving them rounds each to 1e-15 of its size. None leaves the surface in place.
+            transform: A rigid map or mirror for column vectors, (4, 4), or (B, 4, 4) for answers (B, N, ...): where it
+                is. All is in world coordinates; moving rounds by 1e-15 of the size. None leaves the surface in place.
         Returns:
             RayHitLists with offsets (N + 1,), t (H,) in units of the direction, triangle_id (H,), barycentric (H, 3).
         Raises:
@@ -228,8 +228,8 @@ class RayQueries:
             directions: Directions of any length [world], shape (N, 3), or one of shape (3,) for all.
             t_min: Crossings with a smaller t are ignored, in units of the direction.
             max_distance: Length of the rays [world].
-            transform: Where it is: a rigid map or mirror for column vectors, shape (4, 4). Arguments and answers are in
-                world coordinates; moving them rounds each to 1e-15 of its size. None leaves the surface in place.
+            transform: A rigid map or mirror for column vectors, (4, 4), or (B, 4, 4) for answers (B, N, ...): where it
+                is. All is in world coordinates; moving rounds by 1e-15 of the size. None leaves the surface in place.
             progress: Called as ``progress(done, total)`` after each block of a few million rays.
         Returns:
             int (N,).
@@ -262,8 +262,8 @@ class RayQueries:
             directions: Directions of any length [world], shape (N, 3), or one of shape (3,) for all.
             t_min: Hits with a smaller t are ignored, in units of the direction.
             max_distance: Length of the rays [world]; farther hits are ignored.
-            transform: Where it is: a rigid map or mirror for column vectors, shape (4, 4). Arguments and answers are in
-                world coordinates; moving them rounds each to 1e-15 of its size. None leaves the surface in place.
+            transform: A rigid map or mirror for column vectors, (4, 4), or (B, 4, 4) for answers (B, N, ...): where it
+                is. All is in world coordinates; moving rounds by 1e-15 of the size. None leaves the surface in place.
             progress: Called as ``progress(done, total)`` after each block of a few million rays.
         Returns:
             bool (N,).

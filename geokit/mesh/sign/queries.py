@@ -126,8 +126,8 @@ class SignQueries(PointQueries):
             sign: "auto", "pseudonormal", "winding" or "parity".
             max_distance: Search radius [world]; farther points have distance inf or -inf, triangle_id -1 and NaN
                 elsewhere. Their signs are by winding number if ``sign`` is "pseudonormal".
-            transform: Where it is: a rigid map or mirror for column vectors, shape (4, 4). Arguments and answers are in
-                world coordinates; moving them rounds each to 1e-15 of its size. None leaves the surface in place.
+            transform: A rigid map or mirror for column vectors, (4, 4), or (B, 4, 4) for answers (B, N, ...): where it
+                is. All is in world coordinates; moving rounds by 1e-15 of the size. None leaves the surface in place.
             progress: Called as ``progress(done, total)`` after each block of a few million queries.
         Returns:
             SignedDistances with distance (N,) [world], points (N, 3) [world], triangle_id (N,), barycentric (N, 3).
@@ -170,8 +170,8 @@ class SignQueries(PointQueries):
         Args:
             points: Query points [world], shape (N, 3).
             sign: "auto", "pseudonormal", "winding" or "parity"; see :meth:`signed_distance`.
-            transform: Where it is: a rigid map or mirror for column vectors, shape (4, 4). Arguments and answers are in
-                world coordinates; moving them rounds each to 1e-15 of its size. None leaves the surface in place.
+            transform: A rigid map or mirror for column vectors, (4, 4), or (B, 4, 4) for answers (B, N, ...): where it
+                is. All is in world coordinates; moving rounds by 1e-15 of the size. None leaves the surface in place.
             progress: Called as ``progress(done, total)`` after each block of a few million queries.
         Returns:
             bool (N,).
@@ -232,8 +232,8 @@ class SignQueries(PointQueries):
         Args:
             points: Query points [world], shape (N, 3).
             as_given: Whether faces keep the winding that they have in ``mesh``.
-            transform: Where it is: a rigid map or mirror for column vectors, shape (4, 4). Arguments and answers are in
-                world coordinates; moving them rounds each to 1e-15 of its size. None leaves the surface in place.
+            transform: A rigid map or mirror for column vectors, (4, 4), or (B, 4, 4) for answers (B, N, ...): where it
+                is. All is in world coordinates; moving rounds by 1e-15 of the size. None leaves the surface in place.
             progress: Called as ``progress(done, total)`` after each block of a few million queries.
         Returns:
             float (N,).
@@ -271,8 +271,8 @@ class SignQueries(PointQueries):
 
         Args:
             points: Query points [world], shape (N, 3).
-            transform: Where it is: a rigid map or mirror for column vectors, shape (4, 4). Arguments and answers are in
-                world coordinates; moving them rounds each to 1e-15 of its size. None leaves the surface in place.
+            transform: A rigid map or mirror for column vectors, (4, 4), or (B, 4, 4) for answers (B, N, ...): where it
+                is. All is in world coordinates; moving rounds by 1e-15 of the size. None leaves the surface in place.
         Returns:
             float (N,).
         Raises:

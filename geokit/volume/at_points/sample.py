@@ -95,8 +95,8 @@ def sample(
         order: 0, 1, 2 or 3; None for the order for which the volume was made (``info.order``), else 1.
         space: Space of ``points``: "world", or "index", where voxel centers lie at whole numbers.
         channel: Number or name of the channel of an index grid; None for its first. See :func:`from_channel`.
-        transform: Where it is: a rigid map or mirror for column vectors, shape (4, 4), beside scalar grids and world
-            points. Arguments and answers are in world coordinates; moving them rounds each to 1e-15 of its size. None
+        transform: Where it is: a rigid map or mirror for column vectors, (4, 4), or (B, 4, 4) for answers (B, N, ...),
+            beside scalar grids and world points. All is in world coordinates; moving rounds by 1e-15 of the size. None
             leaves the volume in place.
         device: Where to compute; None for the first GPU, else the CPU. The first of several devices answers.
     Returns:
@@ -172,8 +172,8 @@ def gradient(
         order: 0, 1, 2 or 3; None for the order for which the volume was made (``info.order``), else 1.
         space: Space of ``points`` and of the gradients: "world", or "index", where voxel centers lie at whole numbers.
         channel: Number or name of the channel of an index grid; None for its first. See :func:`from_channel`.
-        transform: Where it is: a rigid map or mirror for column vectors, shape (4, 4), beside scalar grids and world
-            points. Arguments and answers are in world coordinates; moving them rounds each to 1e-15 of its size. None
+        transform: Where it is: a rigid map or mirror for column vectors, (4, 4), or (B, 4, 4) for answers (B, N, ...),
+            beside scalar grids and world points. All is in world coordinates; moving rounds by 1e-15 of the size. None
             leaves the volume in place.
         device: Where to compute; None for the first GPU, else the CPU. The first of several devices answers.
     Returns:

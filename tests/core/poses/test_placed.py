@@ -316,3 +316,98 @@ def test_poses_of_float32(placed, moved) -> None:
     """They are off by 1e-7, and so are the answers."""
     found = placed.closest_point(POINTS, transform=POSE.astype(np.float32))
     assert np.allclose(found.distance, moved.closest_point(POINTS).distance, atol=2e-6)
+
+
+def poses_of(count: int) -> np.ndarray:
+    """Turns about the axis by steps, each with a place of its own."""
+    found = np.repeat(POSE[None], count, axis=0)
+    for step in range(count):
+        angle = 0.7 * step
+        found[step, :3, :3] = np.eye(3) + np.sin(angle) * _SKEW + (1.0 - np.cos(angle)) * _SKEW @ _SKEW
+        found[step, :3, 3] += [0.3 * step, 0.0, -0.1 * step]
+    return found
+
+
+@pytest.mark.parametrize("count", [0, 1, 5])
+@pytest.mark.parametrize("shape", [(40,), (2, 20), ()])
+def test_many_poses_have_the_bits_of_each(placed, count: int, shape: tuple[int, ...]) -> None:
+    points, headings = POINTS[: int(np.prod(shape))], HEADINGS[: int(np.prod(shape))]
+    points, headings = points.reshape(*shape, 3), headings.reshape(*shape, 3)
+    maps = poses_of(count)
+    asked = {
+        "closest_point": [points],
+        "furthest_point": [points],
+        "signed_distance": [points],
+        "contains": [points],
+        "winding_number": [points],
+        "sign_confidence": [points],
+        "raycast": [points, headings],
+        "occluded": [points, headings],
+        "crossing_count": [points, headings],
+    }
+    for name, rows in asked.items():
+        query = getattr(placed, name)
+        found, each = query(*rows, transform=maps), [query(*rows, transform=one) for one in maps]
+        for field in getattr(found, "_fields", [None]):
+            got, expected = (
+                (found, each) if field is None else (getattr(found, field), [getattr(one, field) for one in each])
+            )
+            assert got.shape[: 1 + len(shape)] == (count, *shape), name
+            if count:
+                np.testing.assert_array_equal(got, np.stack(expected), err_msg=f"{name} {field}")
+
+
+def test_many_poses_of_all_crossings_and_volumes(placed) -> None:
+    maps = poses_of(3)
+    lists = placed.raycast_all(POINTS, HEADINGS, transform=maps)
+    each = [placed.raycast_all(POINTS, HEADINGS, transform=one) for one in maps]
+    np.testing.assert_array_equal(lists.t, np.concatenate([one.t for one in each]))
+    counts = np.concatenate([np.diff(one.offsets) for one in each])
+    np.testing.assert_array_equal(np.diff(lists.offsets), counts)
+    volume = gk.volume.from_mesh(MESH, voxel_size=0.1, half_width=6.0, device="cpu")
+    for ask in (
+        lambda pose: volume.sample(POINTS, transform=pose, device="cpu"),
+        lambda pose: volume.gradient(POINTS, transform=pose, device="cpu"),
+        lambda pose: volume.raycast(POINTS, HEADINGS, transform=pose, device="cpu").normals,
+    ):
+        np.testing.assert_array_equal(ask(maps), np.stack([ask(one) for one in maps]))
+
+
+@pytest.mark.parametrize("kind", ["float32", "list", "warp", "torch"])
+def test_many_poses_of_any_container(placed, kind: str) -> None:
+    maps, expected = poses_of(3), placed.closest_point(POINTS, transform=poses_of(3))
+    if kind == "warp":
+        import warp as wp
+
+        answer = placed.closest_point(wp.array(POINTS, dtype=wp.vec3d, device="cpu"), transform=maps)
+        assert answer.points.dtype == wp.vec3d
+        assert answer.points.shape == (3, 300)
+        np.testing.assert_array_equal(answer.points.numpy(), expected.points)
+    elif kind == "torch":
+        torch = pytest.importorskip("torch")
+        answer = placed.closest_point(torch.tensor(POINTS), transform=torch.tensor(maps))
+        np.testing.assert_array_equal(answer.distance.numpy(), expected.distance)
+    elif kind == "list":
+        np.testing.assert_array_equal(
+            placed.closest_point(POINTS.tolist(), transform=maps.tolist()).points, expected.points
+        )
+    else:
+        answer = placed.closest_point(POINTS.astype(np.float32), transform=maps)
+        assert answer.points.dtype == np.float32
+        np.testing.assert_allclose(answer.points, expected.points, atol=2e-6)
+
+
+def test_many_poses_of_several_devices_have_an_axis_of_their_own() -> None:
+    surface, maps = gk.mesh.Surface(MESH, device=["cpu", "cpu"]), poses_of(3)
+    points = np.repeat(POINTS, 250, axis=0)
+    expected = gk.mesh.Surface(MESH, device="cpu").closest_point(points, transform=maps)
+    np.testing.assert_array_equal(surface.closest_point(points, transform=maps).points, expected.points)
+
+
+def test_a_pose_of_many_that_is_none_is_named(placed) -> None:
+    maps = poses_of(3)
+    maps[1, :3, :3] *= 1.5
+    with pytest.raises(InputError, match="transform: map 1 is not a rigid motion"):
+        placed.closest_point(POINTS, transform=maps)
+    with pytest.raises(InputError, match=r"transform: shape \(3, 3, 4\) is not \(4, 4\) or \(B, 4, 4\)"):
+        placed.closest_point(POINTS, transform=maps[:, :3])
