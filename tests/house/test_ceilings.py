@@ -23,7 +23,7 @@ from tests.house.test_rooms import FORWARDING, PACKAGE, edges
 # to verbs. Annotations of public names with Any.
 MOST_FILES = 26
 CEILINGS = {
-    "lines": 116400,
+    "lines": 115600,
     "files in mesh/bvh": 30,
     "files in mesh/queries": 29,
     "files in native/src": 42,
