@@ -1,4 +1,4 @@
-"""Conversions of point clouds: to volumes, to meshes, and from meshes."""
+"""What conversions of point clouds choose: balls around points, and the arrays that a format holds."""
 
 from __future__ import annotations
 
@@ -14,11 +14,10 @@ from geokit.errors import InputError
 from geokit.formats.table import FORMATS
 
 if TYPE_CHECKING:
-    from geokit.cli._storage import Storage
     from geokit.points._io import PointCloud
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["DEFAULT_COUNT", "cloud_to_mesh", "cloud_to_volume", "mesh_to_cloud", "save_cloud"]
+__all__ = ["DEFAULT_COUNT", "balls", "save_cloud"]
 
 # Points on a mesh, if their number is not given.
 DEFAULT_COUNT = 100_000
@@ -29,50 +28,7 @@ NEIGHBORS = 5
 VOXELS_PER_RADIUS = 1.5
 
 
-def mesh_to_cloud(source: Path, target: Path, count: int | None, radius: float | None) -> dict[str, Any]:
-    """Points on a mesh, with its attributes: random ones, or evenly spread if a radius is given."""
-    from geokit.mesh import load
-    from geokit.points import sample
-
-    if radius is None:
-        cloud = sample(load(source), DEFAULT_COUNT if count is None else count)
-    elif count is None:
-        cloud = sample(load(source), method="poisson_disk", radius=radius)
-    else:
-        raise InputError("--count: follows from --radius; leave one of them out")
-    save_cloud(target, cloud)
-    return {"points": len(cloud.points)}
-
-
-def cloud_to_volume(
-    cloud: PointCloud, target: Path, how: dict[str, Any], storage: Storage, *, quiet: bool
-) -> dict[str, Any]:
-    """The level set of balls around the points."""
-    from geokit.volume import save
-
-    volume = storage.applied(_balls(cloud, **how, quiet=quiet))
-    save(target, volume, codec=storage.compression)
-    active = volume.info.active_voxel_count
-    return {"points": len(cloud), "active_voxels": active, **storage.described([volume])}
-
-
-def cloud_to_mesh(cloud: PointCloud, target: Path, how: dict[str, Any], *, quiet: bool) -> dict[str, Any]:
-    """The surface of balls around the points."""
-    from geokit.mesh import from_volume, from_volume_with_deviation, save
-
-    device = how["device"]
-    volume = _balls(cloud, how["radius"], how["voxel_size"], device=device, quiet=quiet)
-    method = {} if how["method"] is None else {"method": how["method"]}
-    if how["tolerance"] is None:
-        mesh = from_volume(volume, **method, device=device)
-    else:
-        options = {**method, "device": device, "progress": how["progress"]}
-        mesh = from_volume_with_deviation(volume, tolerance=how["tolerance"], **options).mesh
-    save(target, mesh)
-    return {"points": len(cloud), "vertices": len(mesh.vertices), "faces": len(mesh.faces)}
-
-
-def _balls(
+def balls(
     cloud: PointCloud,
     radius: float | None,
     voxel_size: float | None,
@@ -81,6 +37,7 @@ def _balls(
     *,
     quiet: bool,
 ) -> SparseVolume:
+    """The level set of balls around the points, of a radius and in voxels that are chosen where they are not given."""
     from geokit.volume import from_points
 
     if radius is None:

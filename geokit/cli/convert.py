@@ -27,7 +27,7 @@ from geokit.cli._kinds import (
     may_write,
     refuse_unused,
 )
-from geokit.cli._points import cloud_to_mesh, cloud_to_volume, mesh_to_cloud, save_cloud
+from geokit.cli._points import DEFAULT_COUNT, balls, save_cloud
 from geokit.cli._program.console import announce_compiling, note, print_json, say, step
 from geokit.cli._results import described
 from geokit.cli._storage import Storage
@@ -443,21 +443,45 @@ def _cloud_to_cloud(job: _Job, _: Storage) -> dict[str, Any]:
 
 
 def _cloud_to_volume(job: _Job, storage: Storage) -> dict[str, Any]:
+    from geokit.volume import save
+
     with job.step(f"converting {job.source}"):
-        how = {"device": job.device, **{name: job.options[name] for name in ("radius", "voxel_size", "half_width")}}
-        return cloud_to_volume(job.load_cloud(), job.target, how, storage, quiet=job.quiet)
+        cloud, how = job.load_cloud(), {name: job.options[name] for name in ("radius", "voxel_size", "half_width")}
+        volume = storage.applied(balls(cloud, **how, device=job.device, quiet=job.quiet))
+        save(job.target, volume, codec=storage.compression)
+    active = volume.info.active_voxel_count
+    return {"points": len(cloud), "active_voxels": active, **storage.described([volume])}
 
 
 def _cloud_to_mesh(job: _Job, _: Storage) -> dict[str, Any]:
+    from geokit.mesh import from_volume, from_volume_with_deviation, save
+
     with job.step(f"converting {job.source}") as converting:
-        how = {name: job.options[name] for name in ("radius", "voxel_size", "method", "tolerance")}
-        how |= {"device": job.device, "progress": converting.progress}
-        return cloud_to_mesh(job.load_cloud(), job.target, how, quiet=job.quiet)
+        cloud, (radius, voxel_size) = job.load_cloud(), (job.options[name] for name in ("radius", "voxel_size"))
+        volume = balls(cloud, radius, voxel_size, device=job.device, quiet=job.quiet)
+        how = {**job.given("method", "tolerance"), "device": job.device}
+        if "tolerance" in how:
+            mesh = from_volume_with_deviation(volume, **how, progress=converting.progress).mesh
+        else:
+            mesh = from_volume(volume, **how)
+        save(job.target, mesh)
+    return {"points": len(cloud), "vertices": len(mesh.vertices), "faces": len(mesh.faces)}
 
 
 def _mesh_to_cloud(job: _Job, _: Storage) -> dict[str, Any]:
+    from geokit.mesh import load
+    from geokit.points import sample
+
+    count, radius = job.options["count"], job.options["radius"]
     with job.step(f"converting {job.source}"):
-        return mesh_to_cloud(job.source, job.target, job.options["count"], job.options["radius"])
+        if radius is None:
+            cloud = sample(load(job.source), DEFAULT_COUNT if count is None else count)
+        elif count is None:
+            cloud = sample(load(job.source), method="poisson_disk", radius=radius)
+        else:
+            raise InputError("--count: follows from --radius; leave one of them out")
+        save_cloud(job.target, cloud)
+    return {"points": len(cloud.points)}
 
 
 _OF_DENSE = ("background", "background_tolerance")

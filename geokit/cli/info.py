@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,10 @@ def info(
     refuse_unused(f"on a {kind}", columns=None if kind == "cloud" else columns)
     with step(f"reading {file}", quiet=json) as reading:
         if stream:
-            description = _describe_mesh_file(file, reading.progress)
+            from geokit.core.content_limit import default_limit
+            from geokit.mesh import audit_file
+
+            description = dataclasses.asdict(audit_file(file, memory_limit=default_limit(), progress=reading.progress))
         elif kind == "cloud":
             description = _describe_cloud(file, finite_only, columns)
         else:
@@ -65,18 +69,7 @@ def info(
             print_facts(dict(metadata), indent="  ")
 
 
-def _describe_mesh_file(path: Path, progress: Any) -> dict[str, Any]:
-    import dataclasses
-
-    from geokit.core.content_limit import default_limit
-    from geokit.mesh import audit_file
-
-    return dataclasses.asdict(audit_file(path, memory_limit=default_limit(), progress=progress))
-
-
 def _describe_mesh(path: Path) -> dict[str, Any]:
-    import dataclasses
-
     from geokit.mesh import audit, load
 
     mesh = load(path)

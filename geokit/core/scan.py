@@ -1,4 +1,4 @@
-"""Prefix sums on a device, with their totals on the host."""
+"""Prefix sums on a device, with their totals on the host, and the items that a flag chooses."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import warp as wp
 
 
-__all__ = ["prefix_sum", "prefix_sum_async", "row_offsets"]
+__all__ = ["flagged", "gathered", "prefix_sum", "prefix_sum_async", "row_offsets"]
 
 
 def prefix_sum(counts: "wp.array") -> tuple["wp.array", int]:
@@ -39,6 +39,29 @@ def prefix_sum_async(counts: "wp.array") -> tuple["wp.array", Callable[[], int]]
     (total,) = host_arrays(device, ((1,), np.int32))
     launcher.launch(last_kernel, 1, [sums], [total], device)
     return sums, lambda: int(total.numpy()[0])
+
+
+def flagged(flag: "wp.array") -> "wp.array":
+    """Numbers of the items whose flag, int32 (N,), is not 0, ascending."""
+    import warp as wp
+
+    from geokit.core.scan_kernels import flagged_kernel
+
+    ends, count = prefix_sum(flag)
+    found = wp.empty(count, dtype=wp.int32, device=flag.device)
+    launcher.launch(flagged_kernel, len(flag), [flag, ends], [found], flag.device)
+    return found
+
+
+def gathered(rows: "wp.array", index: "wp.array") -> "wp.array":
+    """The rows (vec3d, vec3f, vec3i, int32 or int64) of some numbers, in their order."""
+    import warp as wp
+
+    from geokit.core.sorting.gather_kernels import GATHER
+
+    found = wp.empty(len(index), dtype=rows.dtype, device=rows.device)
+    launcher.launch(GATHER[rows.dtype], len(index), [rows, index], [found], rows.device)
+    return found
 
 
 def row_offsets(counts: Any) -> "wp.array":

@@ -1,4 +1,4 @@
-"""Around a prefix sum on a device: wider counts, the total, and the part that an item belongs to."""
+"""Around a prefix sum on a device: wider counts, the total, flagged items, and the part that an item belongs to."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -8,7 +8,7 @@ from geokit.core import cpp
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
 
-__all__ = ["begin_of", "last_kernel", "part_of", "widen_kernel"]
+__all__ = ["begin_of", "flagged_kernel", "last_kernel", "part_of", "widen_kernel"]
 
 
 @cpp.func_native("core/parts.inl")
@@ -39,3 +39,10 @@ def last_kernel(first: int, sums: wp.array(dtype=int), out_last: wp.array(dtype=
 def widen_kernel(first: int, counts: wp.array(dtype=wp.int32), out_counts: wp.array(dtype=wp.int64)):
     i = first + wp.tid()
     out_counts[i] = wp.int64(counts[i])
+
+
+@wp.kernel
+def flagged_kernel(first: int, flag: wp.array(dtype=int), ends: wp.array(dtype=int), out_item: wp.array(dtype=int)):
+    i = first + wp.tid()
+    if flag[i] != 0:
+        out_item[ends[i] - 1] = i

@@ -232,21 +232,31 @@ def read_points(path: Path) -> tuple[NDArray[np.float64], Columns]:
     vertex = elements[0]
     if vertex.name != "vertex":
         raise FileFormatError(f"{path}: element {vertex.name!r} stands before the vertices; put the vertices first")
-    lists = [item.name for item in vertex.properties if item.count_type]
-    if lists:
-        raise FileFormatError(f"{path}: vertex property {lists[0]!r} is a list, which geokit does not read; remove it")
     if not vertex.properties:
         return joined({}, path)
-    dtype = np.dtype([(item.name, item.type) for item in vertex.properties])
+    dtype = vertex_record(vertex, order, len(data) - start, path).newbyteorder("=")
     if order == "":
         points, arrays = joined(_ascii(data[start:], dtype, vertex.count, path), path)
         return points, _with_bytes(arrays, "rgb")
-    have = (len(data) - start) // dtype.itemsize
-    if have < vertex.count:
-        raise FileFormatError(f"{path}: ends in vertex {have} of the {vertex.count} it declares; get a whole copy")
     columns = _Binary(data, start, order, path).read(vertex)
     points, arrays = joined({name: values.astype(dtype[name]) for name, values in columns.items()}, path)
     return points, _with_bytes(arrays, "rgb")
+
+
+def vertex_record(vertex: _Element, order: str, room: int, path: Path) -> np.dtype[np.void]:
+    """The numbers of a vertex, in the file's byte order; those of a binary file fit into ``room`` bytes.
+
+    Raises:
+        FileFormatError: One of them is a list, or the file ends before the last vertex.
+    """
+    lists = [item.name for item in vertex.properties if item.count_type]
+    if lists:
+        raise FileFormatError(f"{path}: vertex property {lists[0]!r} is a list, which geokit does not read; remove it")
+    record = np.dtype([(item.name, order + item.type) for item in vertex.properties])
+    have = room // max(record.itemsize, 1)
+    if order and have < vertex.count:
+        raise FileFormatError(f"{path}: ends in vertex {have} of the {vertex.count} it declares; get a whole copy")
+    return record
 
 
 def _with_bytes(data: dict[str, NDArray[Any]], name: str) -> dict[str, NDArray[Any]]:

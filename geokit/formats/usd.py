@@ -70,19 +70,13 @@ def read_mesh(path: Path, folders: Sequence[Path]) -> list[Body]:
     bodies = []
     for prim, matrix in _placed(stage.GetPseudoRoot(), transforms, None, path):
         is_shape = str(prim.GetTypeName()) in SHAPES
-        # USD multiplies row vectors from the left; geokit's matrices multiply column vectors.
-        columns = [[float(matrix[column][row]) for column in range(4)] for row in range(4)]
+        columns = for_columns(matrix)
         body = _shape(prim, columns, materials) if is_shape else _body(UsdGeom.Mesh(prim), columns, materials)
         if body is not None:
             bodies.append(body)
-    if bodies and stage.HasAuthoredMetadata(UsdGeom.Tokens.upAxis):
-        bodies[0] = bodies[0]._replace(up_axis=str(UsdGeom.GetStageUpAxis(stage)).lower())
-    if bodies and UsdGeom.StageHasAuthoredMetersPerUnit(stage):
-        # UsdGeom.GetStageMetersPerUnit refuses the floats that some exporters write in place of doubles.
-        bodies[0] = bodies[0]._replace(meters_per_unit=float(stage.GetMetadata(UsdGeom.Tokens.metersPerUnit)))
     if bodies:
         notes = (*bodies[0].notes, *_left_out(stage), *materials.notes)
-        bodies[0] = bodies[0]._replace(materials=tuple(materials.found), notes=notes)
+        bodies[0] = bodies[0]._replace(materials=tuple(materials.found), notes=notes, **world_of(stage))
     else:
         others = sorted({str(prim.GetTypeName()) for prim in stage.Traverse() if prim.IsA(UsdGeom.Gprim)})
         what = f"; it holds {', '.join(others)}" if others else ""
@@ -102,11 +96,12 @@ def _left_out(stage: Any) -> list[str]:
     """Notes on visible geometry that is no mesh, and on what moves."""
     from pxr import UsdGeom
 
-    kinds = {str(prim.GetTypeName()) for prim in visible(stage) if prim.IsA(UsdGeom.Gprim)}
+    prims = list(visible(stage.GetPseudoRoot()))
+    kinds = {str(prim.GetTypeName()) for prim in prims if prim.IsA(UsdGeom.Gprim)}
     others = sorted(kinds - {"Mesh", "Volume", *SHAPES})
     said = ["its volumes are left out; geokit.volume.load reads them"] if "Volume" in kinds else []
     said += [f"its prims of type {', '.join(others)} are left out"] if others else []
-    if any(map(is_animated, visible(stage))):
+    if any(map(is_animated, prims)):
         said.append("its animations are left out: it is read at the default time, or at the first sample without one")
     return said
 
@@ -135,17 +130,34 @@ def open_stage(path: Path, folders: Sequence[Path]) -> Any:
     return stage
 
 
-def visible(stage: Any) -> Iterator[Any]:
-    """The prims of the default or render purpose that are not hidden, nor below one that is."""
+def visible(root: Any, *, within_instancers: bool = True) -> Iterator[Any]:
+    """The prims from ``root`` on, of the default or render purpose, that are not hidden, nor below one that is."""
     from pxr import Usd, UsdGeom
 
-    prims = iter(Usd.PrimRange(stage.GetPseudoRoot(), Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)))
+    prims = iter(Usd.PrimRange(root, Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)))
     for prim in prims:
         imageable = UsdGeom.Imageable(prim)
-        if imageable and _hidden(imageable):
+        hidden = imageable and _hidden(imageable)
+        if hidden or (not within_instancers and prim.IsA(UsdGeom.PointInstancer)):
             prims.PruneChildren()
-        else:
+        if not hidden:
             yield prim
+
+
+def for_columns(matrix: Any) -> list[list[float]]:
+    """A matrix that multiplies column vectors: USD multiplies row vectors from the left."""
+    return [[float(matrix[column][row]) for column in range(4)] for row in range(4)]
+
+
+def world_of(stage: Any) -> dict[str, Any]:
+    """``up_axis`` and ``meters_per_unit``, None where the stage does not say."""
+    from pxr import UsdGeom
+
+    up = str(UsdGeom.GetStageUpAxis(stage)).lower() if stage.HasAuthoredMetadata(UsdGeom.Tokens.upAxis) else None
+    # UsdGeom.GetStageMetersPerUnit refuses the floats that some exporters write in place of doubles.
+    known = UsdGeom.StageHasAuthoredMetersPerUnit(stage)
+    meters = float(stage.GetMetadata(UsdGeom.Tokens.metersPerUnit)) if known else None
+    return {"up_axis": up, "meters_per_unit": meters}
 
 
 def _checked_layers(path: Path, folders: Sequence[Path]) -> list[Any]:
@@ -211,16 +223,10 @@ def transform_time(stage: Any) -> Any:
 
 def _placed(root: Any, transforms: Any, base: Any, path: Path) -> Iterator[tuple[Any, Any]]:
     """Mesh prims below ``root`` with their local-to-world matrix; those of point instancers once per instance."""
-    from pxr import Usd, UsdGeom
+    from pxr import UsdGeom
 
-    prims = iter(Usd.PrimRange(root, Usd.TraverseInstanceProxies(Usd.PrimDefaultPredicate)))
-    for prim in prims:
-        imageable = UsdGeom.Imageable(prim)
-        if imageable and _hidden(imageable):
-            prims.PruneChildren()
-            continue
+    for prim in visible(root, within_instancers=False):
         if prim.IsA(UsdGeom.PointInstancer):
-            prims.PruneChildren()
             yield from _instances(UsdGeom.PointInstancer(prim), transforms, base, path)
         elif prim.IsA(UsdGeom.Mesh) or str(prim.GetTypeName()) in SHAPES:
             matrix = transforms.GetLocalToWorldTransform(prim)

@@ -47,7 +47,7 @@ def read_grids(path: Path, folders: list[str]) -> tuple[dict[str, Any], list[tup
     fields: list[dict[str, Any]] = []
     packed: list[tuple[str, Any]] = []
     shapes, notes = set(), []
-    for prim in usd.visible(stage):
+    for prim in usd.visible(stage.GetPseudoRoot()):
         if prim.IsA(UsdGeom.Gprim) and prim.GetTypeName() != VOLUME:
             shapes.add(str(prim.GetTypeName()))
         if prim.GetTypeName() != VOLUME:
@@ -63,9 +63,6 @@ def read_grids(path: Path, folders: list[str]) -> tuple[dict[str, Any], list[tup
                     continue
                 file, inner = _file(asset, path, allowed)
                 grid = value_of(asset.GetAttribute("fieldName"))
-                # USD multiplies row vectors from the left.
-                matrix = transforms.GetLocalToWorldTransform(asset)
-                columns = [[float(matrix[column][row]) for column in range(4)] for row in range(4)]
                 if inner:
                     packed.append((inner, _packed(file, inner)))
                 fields.append(
@@ -73,20 +70,11 @@ def read_grids(path: Path, folders: list[str]) -> tuple[dict[str, Any], list[tup
                         "name": name,
                         "grid": str(grid or ""),
                         "file": "" if inner else str(file),
-                        "matrix": columns,
+                        "matrix": usd.for_columns(transforms.GetLocalToWorldTransform(asset)),
                         "label": inner or file.name,
                     }
                 )
-    has_up = stage.HasAuthoredMetadata(UsdGeom.Tokens.upAxis)
-    meters = stage.GetMetadata(UsdGeom.Tokens.metersPerUnit) if UsdGeom.StageHasAuthoredMetersPerUnit(stage) else None
-    facts = {
-        "fields": fields,
-        "shapes": sorted(shapes),
-        "up_axis": str(UsdGeom.GetStageUpAxis(stage)).lower() if has_up else None,
-        "meters_per_unit": None if meters is None else float(meters),
-        "notes": notes,
-    }
-    return facts, packed
+    return {"fields": fields, "shapes": sorted(shapes), **usd.world_of(stage), "notes": notes}, packed
 
 
 def _file(asset: Any, path: Path, folders: list[Path]) -> tuple[Path, str]:

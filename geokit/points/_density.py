@@ -86,7 +86,11 @@ def density(
 
     require_choice(kernel, "kernel", KERNELS)
     radius = require_finite_scalar(radius, "radius", low=0.0)
-    factor = _factor(KERNELS[kernel][0], radius)
+    volume = radius * radius * radius
+    factor = KERNELS[kernel][0] / volume if volume > 0.0 else math.inf
+    # At either end of the float64 range the result loses some or all of its digits.
+    if not (np.finfo(np.float64).tiny < factor < np.inf):
+        raise InputError(f"radius: {radius:g} has a volume that float64 cannot divide by; scale points and radius")
     target = launcher.resolve_device(device)
     neighbors = NeighborGrid(points, radius, device=target)
     masses = wp.array(_require_masses(mass, len(neighbors)), dtype=wp.float64, device=target)
@@ -98,15 +102,6 @@ def density(
         given = [arranged, grid, wp.float64(radius), smoothing, wp.float64(factor), masses]
         launcher.launch(kernels.density_kernel, number, given, [result], target)
     return home.to_caller(result)
-
-
-def _factor(norm: float, radius: float) -> float:
-    volume = radius * radius * radius
-    factor = norm / volume if volume > 0.0 else math.inf
-    # At either end of the float64 range the result loses some or all of its digits.
-    if not (np.finfo(np.float64).tiny < factor < np.inf):
-        raise InputError(f"radius: {radius:g} has a volume that float64 cannot divide by; scale points and radius")
-    return factor
 
 
 def _require_masses(mass: Any, count: int) -> np.ndarray:

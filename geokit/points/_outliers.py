@@ -72,6 +72,10 @@ def outliers(
         >>> gk.points.outliers(line, method="radius", radius=1.5, minimum_count=1, device="cpu").tolist()
         [False, False, False, False, True]
     """
+    import warp as wp
+
+    from geokit.points.clouds.outliers_kernels import below_kernel
+
     require_choice(method, "method", METHODS)
     target = launcher.resolve_device(device)
     k, ratio = require_count(k, "k", 1, MAX_K), require_finite_scalar(ratio, "ratio")
@@ -80,22 +84,14 @@ def outliers(
         if radius is None:
             raise InputError("radius: missing; method 'radius' needs one")
         batch = read_vectors(points, "points", target, largest=LARGEST_MEASURED)
-        return batch.to_caller(_sparse(batch.array, radius, fewest, target))
+        counts = NeighborGrid(batch.array, radius, device=target).count(exclude_self=True)
+        mask = wp.empty(len(batch), dtype=wp.bool, device=target)
+        launcher.launch(below_kernel, len(batch), [counts, fewest], [mask], target)
+        return batch.to_caller(mask)
     if radius is not None:
         raise InputError("radius: method 'statistical' takes none; give method='radius', or k and ratio")
     batch = read_vectors(points, "points", target, largest=LARGEST_MEASURED)
     return batch.to_caller(_unusual(batch.array, k, ratio, target))
-
-
-def _sparse(rows: "wp.array", radius: float, fewest: int, device: "wp.Device") -> "wp.array":
-    import warp as wp
-
-    from geokit.points.clouds.outliers_kernels import below_kernel
-
-    counts = NeighborGrid(rows, radius, device=device).count(exclude_self=True)
-    mask = wp.empty(len(rows), dtype=wp.bool, device=device)
-    launcher.launch(below_kernel, len(rows), [counts, fewest], [mask], device)
-    return mask
 
 
 def _unusual(rows: "wp.array", k: int, ratio: float, device: "wp.Device") -> "wp.array":

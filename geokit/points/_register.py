@@ -14,6 +14,7 @@ from geokit.core.interop.types import Device, Rows
 from geokit.core.interop.user_arrays import LARGEST_MEASURED, read_vectors, require_finite_scalar
 from geokit.core.memory.needs import needs, rows
 from geokit.core.require import require_choice, require_count, require_table
+from geokit.core.scan import gathered
 from geokit.errors import InputError
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.surfaces.surface import BYTES_PER_FACE
@@ -184,7 +185,9 @@ def register(
     if len(points) == 0:
         raise InputError("source: it has no points; give at least one")
     center, size, radius = _measure(points)
-    points = _in_order(points, center, radius)
+    # Along a space-filling curve, consecutive points have partners that are close in memory.
+    order = launcher.morton_order(points, center - radius, 2.0 * radius, points.device)
+    points = gathered(points, order[: len(points)])
     pose = _Pose(start[:3, :3], center, start[:3, :3] @ center + start[:3, 3])
     search = _Search(points, goal, method, limit, size)
     converged, steps = False, 0
@@ -290,19 +293,6 @@ def _measure(points: "wp.array") -> tuple[NDArray[np.float64], float, float]:
     if radius == 0.0:
         return center, 1.0, 0.0
     return center, radius * float(np.sqrt(np.mean((away / radius) ** 2))), radius
-
-
-def _in_order(points: "wp.array", center: NDArray[np.float64], radius: float) -> "wp.array":
-    """The points along a space-filling curve: consecutive points have partners that are close in memory."""
-    import warp as wp
-
-    from geokit.core.sorting.gather_kernels import GATHER
-
-    device: Any = points.device
-    order = launcher.morton_order(points, center - radius, 2.0 * radius, device)
-    ordered = wp.empty(len(points), dtype=wp.vec3d, device=device)
-    launcher.launch(GATHER[wp.vec3d], len(points), [points, order], [ordered], device)
-    return ordered
 
 
 def _require_rigid(initial: Any) -> NDArray[np.float64]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -134,19 +133,22 @@ def _combined(kind: str, operands: tuple[SparseVolume, ...], smooth: float) -> S
     said = require_one_world(
         **{name: require_volume(one, name).info for name, one in zip(names, operands, strict=True)}
     )
-    return with_more(_combined_grids(kind, operands, names, smooth), world_metadata(**said))
-
-
-def _combined_grids(kind: str, operands: tuple[SparseVolume, ...], names: list[str], smooth: float) -> SparseVolume:
     if operands[0].info.grid_type == "mask":
         if require_finite_scalar(smooth, "smooth") != 0.0:
             raise InputError(f"smooth: {smooth} is for level sets; voxels of masks are on or off")
-        return _combined_masks(kind, operands, names)
+        return with_more(_combined_masks(kind, operands, names), world_metadata(**said))
     from geokit.native import operations
 
     sizes = [require_level_set(volume, name) for volume, name in zip(operands, names, strict=True)]
     first, voxel_size = operands[0], sizes[0]
-    blend = _checked_blend(smooth, voxel_size)
+    blend = require_finite_scalar(smooth, "smooth")
+    if blend < 0.0:
+        raise InputError(f"smooth: {blend} is negative; give the width of the blend, or 0 for none")
+    if blend > WIDEST_BLEND * voxel_size:
+        raise InputError(
+            f"smooth: {blend:g} is {blend / voxel_size:.3g} voxels, more than {WIDEST_BLEND:g}; resample the operands "
+            f"at a voxel_size of {blend / WIDEST_BLEND:.2g} or more"
+        )
     widths = widths_of(first, voxel_size)
     half_width = widths.widest
     # A blend lowers the minimum by a quarter of its width, and acts where the operands differ by up to the whole width.
@@ -164,19 +166,8 @@ def _combined_grids(kind: str, operands: tuple[SparseVolume, ...], names: list[s
             combined = call_openvdb(operations.csg, result, other, kind=kind)
             one, two, side = UNIONS[kind]
             result = without_false_walls(combined, (result, one), (other, two), voxel_size, side)
-    return with_widths(with_band(result, voxel_size, half_width), voxel_size, widths)
-
-
-def _checked_blend(smooth: Any, voxel_size: float) -> float:
-    blend = require_finite_scalar(smooth, "smooth")
-    if blend < 0.0:
-        raise InputError(f"smooth: {blend} is negative; give the width of the blend, or 0 for none")
-    if blend > WIDEST_BLEND * voxel_size:
-        raise InputError(
-            f"smooth: {blend:g} is {blend / voxel_size:.3g} voxels, more than {WIDEST_BLEND:g}; resample the operands "
-            f"at a voxel_size of {blend / WIDEST_BLEND:.2g} or more"
-        )
-    return blend
+    combined = with_widths(with_band(result, voxel_size, half_width), voxel_size, widths)
+    return with_more(combined, world_metadata(**said))
 
 
 def _on_grid_of(volume: SparseVolume, target: SparseVolume) -> SparseVolume:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geokit.core import launcher
 from geokit.core.interop.types import Device
@@ -44,9 +43,7 @@ def gradient_field(volume: SparseVolume, *, device: Device = None) -> SparseVolu
         UnsupportedGridError: Values are not real numbers.
         DeviceMemoryError: The active tiles hold more voxels than fit into memory.
     """
-    from geokit.volume.sampling import differential_kernels as kernels
-
-    return _derived(require_volume(volume, "volume", SCALARS), kernels.gradient_kernel, 3, device)
+    return _derived(require_volume(volume, "volume", SCALARS), "gradient_kernel", 3, device)
 
 
 @needs(lambda volume, *_, **__: 8300 * leaf_count(volume))
@@ -66,17 +63,15 @@ def divergence(volume: SparseVolume, *, device: Device = None) -> SparseVolume:
         UnsupportedGridError: Values are not vectors of three real numbers.
         DeviceMemoryError: The active tiles hold more voxels than fit into memory.
     """
-    from geokit.volume.sampling import differential_kernels as kernels
-
     require_volume(volume, "volume", VECTORS)
     if volume.info.grid_class != "staggered":
-        return _derived(volume, kernels.divergence_kernel, 1, device)
+        return _derived(volume, "divergence_kernel", 1, device)
     linear = volume.info.transform[:3, :3]
     if np.count_nonzero(linear) > 3 or not np.diag(linear).all():
         raise InputError(
             f"volume: the faces of staggered grid {volume.info.name!r} are not along the world's axes; resample it"
         )
-    return _derived(volume, kernels.staggered_divergence_kernel, 1, device)
+    return _derived(volume, "staggered_divergence_kernel", 1, device)
 
 
 @needs(lambda volume, *_, **__: 26300 * leaf_count(volume))
@@ -95,15 +90,13 @@ def curl(volume: SparseVolume, *, device: Device = None) -> SparseVolume:
         UnsupportedGridError: Values are not vectors of three real numbers.
         DeviceMemoryError: The active tiles hold more voxels than fit into memory.
     """
-    from geokit.volume.sampling import differential_kernels as kernels
-
     require_volume(volume, "volume", VECTORS)
     if volume.info.grid_class == "staggered":
         raise InputError(
             f"volume: the components of staggered grid {volume.info.name!r} are at different places; sample them at "
             "the voxel centers first"
         )
-    return _derived(volume, kernels.curl_kernel, 3, device)
+    return _derived(volume, "curl_kernel", 3, device)
 
 
 @needs(lambda volume, *_, **__: 8300 * leaf_count(volume))
@@ -123,19 +116,22 @@ def laplacian(volume: SparseVolume, *, device: Device = None) -> SparseVolume:
         UnsupportedGridError: Values are not real numbers.
         DeviceMemoryError: The active tiles hold more voxels than fit into memory.
     """
-    from geokit.volume.sampling import differential_kernels as kernels
-
-    return _derived(require_volume(volume, "volume", SCALARS), kernels.laplacian_kernel, 1, device, metric=True)
+    return _derived(require_volume(volume, "volume", SCALARS), "laplacian_kernel", 1, device, metric=True)
 
 
-def _derived(volume: SparseVolume, kernel: Any, components: int, device: Any, *, metric: bool = False) -> SparseVolume:
+def _derived(volume: SparseVolume, kernel: str, components: int, device: Any, *, metric: bool = False) -> SparseVolume:
     import warp as wp
+
+    from geokit.volume.sampling import differential_kernels as kernels
 
     source = voxelized(volume)
     target = launcher.resolve_device(device)
     leaves = leaves_of(source)
-    to_index = np.linalg.inv(source.info.transform[:3, :3])
-    matrix = _metric(to_index) if metric else to_index
+    matrix = np.linalg.inv(source.info.transform[:3, :3])
+    if metric:
+        matrix = matrix @ matrix.T
+        scale = np.sqrt(np.outer(np.diag(matrix), np.diag(matrix)))
+        matrix = np.where(np.abs(matrix) > METRIC_ROUNDING * scale, matrix, 0.0)
     dtype = np.float64 if source.info.grid_type in ("double", "vec3d") else np.float32
     shape = (LEAF_VOXELS,) if components == 1 else (LEAF_VOXELS, components)
     values = np.empty((len(leaves.origins), *shape), dtype)
@@ -146,13 +142,7 @@ def _derived(volume: SparseVolume, kernel: Any, components: int, device: Any, *,
         out = wp.zeros(count, dtype=wp.float64 if components == 1 else wp.vec3d, device=target)
         origins = wp.array(leaves.origins[rows], dtype=wp.vec3i, device=target)
         masks = wp.array(leaves.masks[rows], dtype=wp.uint8, device=target)
-        launcher.launch(kernel, count, [handle, origins, masks, given], [out], target)
+        launcher.launch(getattr(kernels, kernel), count, [handle, origins, masks, given], [out], target)
         with np.errstate(over="ignore"):  # derivatives beyond float32 are infinite
             values[rows] = out.numpy().reshape(-1, *shape)
     return assemble(leaves, values, source, background=0.0)
-
-
-def _metric(to_index: NDArray[Any]) -> NDArray[Any]:
-    product = to_index @ to_index.T
-    scale = np.sqrt(np.outer(np.diag(product), np.diag(product)))
-    return np.where(np.abs(product) > METRIC_ROUNDING * scale, product, 0.0)

@@ -116,7 +116,10 @@ class _Refinement:
         if not callable(function):
             raise InputError(f"function: {type(function).__name__} cannot be called; give a function of points (N, 3)")
         self.function = function
-        self.bounds = _checked_bounds(bounds)
+        box = read_array(bounds, "bounds", np.float64)
+        if box.shape != (2, 3) or not np.isfinite(box).all() or not (box[0] < box[1]).all():
+            raise InputError(f"bounds: {described(box.tolist())} is no finite box; give its lower and its upper corner")
+        self.bounds = box
         self.voxel_size, half_width = checked_band(voxel_size, half_width)
         self.lipschitz = user_arrays.require_finite_scalar(lipschitz, "lipschitz", low=0.0)
         if half_width < self.lipschitz:
@@ -272,10 +275,3 @@ class _Refinement:
         remedy = "use a larger one, smaller bounds, or a smaller half_width"
         need = blocks * (BYTES_PER_LEAF if size == LEAF else 128)
         available_memory.require_room(need, f"voxel_size: {self.voxel_size:g} needs", remedy)
-
-
-def _checked_bounds(bounds: Any) -> NDArray[np.float64]:
-    box = read_array(bounds, "bounds", np.float64)
-    if box.shape != (2, 3) or not np.isfinite(box).all() or not (box[0] < box[1]).all():
-        raise InputError(f"bounds: {described(box.tolist())} is no finite box; give its lower and its upper corner")
-    return box

@@ -189,6 +189,10 @@ def _sorted_balls(
 
 def _tiles_of(balls: _Class, half_width: float, device: "wp.Device") -> NDArray[np.int32]:
     """Corners of the tiles in which a ball of this class may have a voxel of the band, shape (T, 3), each once."""
+    import warp as wp
+
+    from geokit.volume.band.balls_kernels import state_kernel
+
     steps = np.stack(np.unravel_index(np.arange(27), (3, 3, 3)), axis=1) - 1
     low = balls.buckets.min(axis=0) - 1
     keys = np.empty(0, np.int64)
@@ -198,26 +202,16 @@ def _tiles_of(balls: _Class, half_width: float, device: "wp.Device") -> NDArray[
     blocks = (balls.width * (places_of(keys) + low)).astype(np.int32)
     size = balls.width
     while True:
-        blocks = blocks[_states(balls, blocks, size, half_width, device) == NEAR]
+        corners = wp.array(blocks, dtype=wp.vec3i, device=device)
+        state = wp.zeros(len(blocks), dtype=wp.int32, device=device)
+        inputs = [balls.struct, corners, size, wp.float64(half_width)]
+        launcher.launch(state_kernel, len(blocks), inputs, [state], device, grain=TILE_GRAIN)
+        blocks = blocks[state.numpy() == NEAR]
         if size == LEAF:
             return blocks
         size //= 2
         octants = size * np.stack(np.unravel_index(np.arange(8), (2, 2, 2)), axis=1).astype(np.int32)
         blocks = (blocks[:, None, :] + octants).reshape(-1, 3)
-
-
-def _states(
-    balls: _Class, blocks: NDArray[np.int32], size: int, half_width: float, device: "wp.Device"
-) -> NDArray[np.int32]:
-    import warp as wp
-
-    from geokit.volume.band.balls_kernels import state_kernel
-
-    corners = wp.array(blocks, dtype=wp.vec3i, device=device)
-    state = wp.zeros(len(blocks), dtype=wp.int32, device=device)
-    inputs = [balls.struct, corners, size, wp.float64(half_width)]
-    launcher.launch(state_kernel, len(blocks), inputs, [state], device, grain=TILE_GRAIN)
-    return state.numpy()
 
 
 def _leaves(

@@ -11,8 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from geokit.cli._program.app import GROUPS, VERBS
-from geokit.cli._program.examples import examples_of
+from geokit.cli._program.app import GROUPS, VERBS, examples_of
 
 ROOT = Path(__file__).resolve().parents[2]
 

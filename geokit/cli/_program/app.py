@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 from cyclopts import App, Parameter
 
 import geokit
+from geokit._shipped import folder_of
 
-__all__ = ["GROUPS", "VERBS", "build_app", "build_commands"]
+__all__ = ["GROUPS", "VERBS", "build_app", "build_commands", "examples_of"]
 
 VERBS = {
     "info": "Describe a mesh, a volume or a point cloud.",
@@ -33,6 +36,13 @@ VERBS = {
 }
 # Verbs whose module defines subcommands.
 GROUPS = ("query", "mesh", "boolean", "volume")
+# What to try first, for the help of the program.
+FIRST = """\
+geokit info bunny.usd
+geokit view bunny.usd -o bunny.html
+geokit convert bunny.usd bunny.vdb --voxel-size 0.01 --half-width 3
+geokit guide
+"""
 
 
 def build_commands() -> App:
@@ -96,3 +106,20 @@ def build_app() -> App:
 
     app.meta.suppress_keyboard_interrupt = False
     return app.meta
+
+
+def examples_of(arguments: Sequence[str]) -> list[str]:
+    """Examples of docs/cli.md for a command line that prints help: of its command, or of the group; [] for others."""
+    asks = bool({"--help", "-h"}.intersection(arguments)) or arguments[:1] == ["help"]
+    if not asks and arguments and not (len(arguments) == 1 and arguments[0] in GROUPS):
+        return []
+    words = [word for word in arguments if not word.startswith("-")]
+    first = next((at for at, word in enumerate(words) if word in VERBS), len(words))
+    words = words[first : first + 2]
+    if not words:
+        return FIRST.splitlines()
+    page = (folder_of("docs") / "cli.md").read_text(encoding="utf-8")
+    lines = re.findall("^geokit .*", page, re.MULTILINE)
+    return [line for line in lines if line.split()[1:3] == words] or [
+        line for line in lines if line.split()[1] == words[0]
+    ]

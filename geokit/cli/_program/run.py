@@ -29,8 +29,7 @@ def run(arguments: list[str]) -> int:
         CycloptsError = require_package("cyclopts").CycloptsError
     except GeokitError as error:
         return _fail(str(error), FAILURE)
-    from geokit.cli._program.app import build_app
-    from geokit.cli._program.examples import examples_of
+    from geokit.cli._program.app import build_app, examples_of
 
     app = build_app()
     warnings.showwarning = show_warning

@@ -23,5 +23,5 @@ def gather_kernel(
 # By the type of a row.
 GATHER = {
     kind: wp.overload(gather_kernel, {"rows": wp.array(dtype=kind), "out_rows": wp.array(dtype=kind)})
-    for kind in (wp.vec3d, wp.vec3f, wp.vec3i, wp.int32)
+    for kind in (wp.vec3d, wp.vec3f, wp.vec3i, wp.int32, wp.int64)
 }

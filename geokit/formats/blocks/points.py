@@ -97,13 +97,7 @@ def _open_ply(path: Path) -> PointFile:
     if not elements or elements[0].name != "vertex":
         raise FileFormatError(f"{path}: does not begin with its vertices; a point set needs them first")
     vertex = elements[0]
-    lists = [item.name for item in vertex.properties if item.count_type]
-    if lists:
-        raise FileFormatError(f"{path}: vertex property {lists[0]!r} is a list, which geokit does not read; remove it")
-    record = np.dtype([(item.name, order + item.type) for item in vertex.properties])
-    have = (path.stat().st_size - start) // max(record.itemsize, 1)
-    if have < vertex.count:
-        raise FileFormatError(f"{path}: ends in vertex {have} of the {vertex.count} it declares; get a whole copy")
+    record = ply.vertex_record(vertex, order, path.stat().st_size - start, path)
 
     def read(rows: int) -> Iterator[Block]:
         for first in range(-rows, vertex.count, rows):

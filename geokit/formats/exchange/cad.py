@@ -86,7 +86,10 @@ def read_mesh(path: Path, tolerance: float | None = None) -> list[Body]:
             bodies.append(_body(np.concatenate(triangles), SAME * size))
     if not bodies:
         raise FileFormatError(f"{path}: none of its faces can be tessellated; repair the part and export it again")
-    empty += max(_declared(path) - sum(map(len, groups)), 0)
+    if path.suffix.lower() not in _IGES:
+        # A .step declares its faces, those of repeated parts once; Open CASCADE leaves out what it cannot make.
+        declared = len(re.findall(rb"\b(?:ADVANCED_FACE|FACE_SURFACE)\b", path.read_bytes()))
+        empty += max(declared - sum(map(len, groups)), 0)
     notes = (f"{empty} of its faces are not read",) if empty else ()
     bodies[0] = bodies[0]._replace(meters_per_unit=1e-3, notes=notes)
     return bodies
@@ -103,15 +106,6 @@ def _shape(path: Path) -> Any:
         raise FileFormatError(f"{path}: Open CASCADE cannot read it; the file is damaged, export it again")
     reader.TransferRoots()
     return reader.OneShape()
-
-
-def _declared(path: Path) -> int:
-    """How many faces a .step declares, those of repeated parts once; Open CASCADE leaves out what it cannot make."""
-    return (
-        0
-        if path.suffix.lower() in _IGES
-        else len(re.findall(rb"\b(?:ADVANCED_FACE|FACE_SURFACE)\b", path.read_bytes()))
-    )
 
 
 def _sewn(shape: Any, tolerance: float) -> Any:

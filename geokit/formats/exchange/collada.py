@@ -44,19 +44,19 @@ def read_mesh(path: Path, folders: Sequence[Path]) -> list[Body]:
         FileFormatError: The file is damaged, or holds no polygons.
     """
     require_package("collada")
-    notes: dict[str, None] = {}
+    notes: list[str] = []
     # NumPy says so where text is no number, and pycollada goes on with what came before.
     with warnings.catch_warnings():
         warnings.simplefilter("error", DeprecationWarning)
         document = _opened(path, notes)
     # The element of a channel, not the library: this may be empty.
     if document.xmlnode.find(f".//{document.tag('channel')}") is not None:
-        notes[_MOVING] = None
+        notes.append(_MOVING)
     for error in map(str, document.errors):
         if error.endswith("}skew"):
             raise FileFormatError(f"{path}: has a node that is skewed, which is not read; export it with matrices")
         if "geometry" in error or "scene node" in error:
-            notes[f"left out: {error}"] = None
+            notes.append(f"left out: {error}")
     materials: dict[str, int] = {}
     listed: list[FileMaterial] = []
 
@@ -75,7 +75,7 @@ def read_mesh(path: Path, folders: Sequence[Path]) -> list[Body]:
         groups: dict[int, list[Any]] = {}
         for primitive in geometry.primitives:
             if type(primitive).__name__ == "LineSet":
-                notes["lines are left out"] = None
+                notes.append("lines are left out")
             elif primitive.xmlnode.find(document.tag("ph")) is not None:
                 raise FileFormatError(f"{path}: has polygons with holes, which are not read; export it triangulated")
             elif len(primitive):
@@ -94,7 +94,7 @@ def read_mesh(path: Path, folders: Sequence[Path]) -> list[Body]:
     return bodies
 
 
-def _opened(path: Path, notes: dict[str, None]) -> Any:
+def _opened(path: Path, notes: list[str]) -> Any:
     """The document; where it is damaged, without what its geometry does not need."""
     from collada import Collada
     from collada.common import DaeError, DaeUnsupportedError
@@ -110,19 +110,19 @@ def _opened(path: Path, notes: dict[str, None]) -> Any:
             for child in list(parent):
                 if child.tag.rpartition("}")[2] in left_out:
                     if child.find(".//{*}channel") is not None:
-                        notes[_MOVING] = None
+                        notes.append(_MOVING)
                     parent.remove(child)
         try:
             document = Collada(io.BytesIO(ElementTree.tostring(tree, "utf-8")), ignore=[DaeUnsupportedError])
         except DaeError as error:
             reason = error.msg
         else:
-            notes.update({note: None} if note else {})
+            notes += [note] if note else []
             return document
     raise FileFormatError(f"{path}: cannot be read ({reason}); the file is damaged, export it again")
 
 
-def _placed(document: Any, notes: dict[str, None]) -> Iterator[tuple[Any, NDArray[np.float64] | None, dict[str, Any]]]:
+def _placed(document: Any, notes: list[str]) -> Iterator[tuple[Any, NDArray[np.float64] | None, dict[str, Any]]]:
     """Each geometry of the scene, its matrix to the world, and its materials by symbol."""
     if document.scene is None:
         for geometry in document.geometries:
@@ -131,7 +131,7 @@ def _placed(document: Any, notes: dict[str, None]) -> Iterator[tuple[Any, NDArra
     for bound in document.scene.objects("geometry"):
         yield bound.original, np.asarray(bound.matrix, np.float64), bound.materialnodebysymbol
     for bound in document.scene.objects("controller"):
-        notes["skinned and morphed parts are read in their bind shape"] = None
+        notes.append("skinned and morphed parts are read in their bind shape")
         skin = getattr(bound, "skin", None)
         matrix = np.asarray(bound.matrix, np.float64)
         if skin is not None:
@@ -193,16 +193,14 @@ def _numbers(source: Any, path: Path) -> NDArray[np.float64]:
     return numbers.reshape(source.data.shape)
 
 
-def _material(material: Any, path: Path, folders: Sequence[Path], notes: dict[str, None]) -> FileMaterial:
+def _material(material: Any, path: Path, folders: Sequence[Path], notes: list[str]) -> FileMaterial:
     """A material with its diffuse color or texture; a note if the texture is not read."""
     diffuse = getattr(material.effect, "diffuse", None)
     name = material.name or material.id or ""
     image = getattr(getattr(getattr(diffuse, "sampler", None), "surface", None), "image", None)
     if image is not None:
         reference = unquote(urlsplit(image.path).path) if image.path.startswith("file:") else unquote(image.path)
-        said: list[str] = []
-        content = image_content(reference, path, folders, said)
-        notes.update(dict.fromkeys(said))
+        content = image_content(reference, path, folders, notes)
         return FileMaterial(name, None, Path(reference.replace("\\", "/")).name, content)
     # Its fourth number says nothing: transparency is written elsewhere, in several ways.
     color = (*map(float, diffuse[:3]), 1.0) if isinstance(diffuse, tuple) and len(diffuse) >= 3 else None

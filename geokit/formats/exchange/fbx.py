@@ -51,7 +51,7 @@ def read_mesh(path: Path, folders: Sequence[Path]) -> list[Body]:
     except ufbx.UfbxError as error:
         reason = in_one_line(str(error))
         raise FileFormatError(f"{path}: cannot be read ({reason}); the file is damaged, export it again") from None
-    notes: dict[str, None] = {}
+    notes: list[str] = []
     rows: dict[int, int] = {}
     materials: list[FileMaterial] = []
 
@@ -68,15 +68,15 @@ def read_mesh(path: Path, folders: Sequence[Path]) -> list[Body]:
             placed.add(mesh.element_id)
         if mesh is not None and node.visible and mesh.num_faces:
             if len(_keep(mesh.all_deformers)):
-                notes["skins and blend shapes are read as they are stored, without their bones"] = None
+                notes.append("skins and blend shapes are read as they are stored, without their bones")
             bodies.append(_body(node, mesh, [row(one) for one in _items(node.materials)]))
     if not bodies:
         raise FileFormatError(f"{path}: holds no visible mesh; convert the geometry to meshes and export again")
     lost = [mesh for mesh in _items(scene.meshes) if mesh.element_id not in placed]
     if lost:
-        notes[f"{len(lost)} of its meshes belong to no node and are left out"] = None
+        notes.append(f"{len(lost)} of its meshes belong to no node and are left out")
     if len(_keep(scene.anim_curves)):
-        notes["its animations are left out: it is read as it stands without them"] = None
+        notes.append("its animations are left out: it is read as it stands without them")
     settings = _keep(scene.settings)
     up = _keep(settings.axes).up.name
     bodies[0] = bodies[0]._replace(
@@ -141,7 +141,7 @@ def _body(node: Any, mesh: Any, materials: list[int]) -> Body:
     )
 
 
-def _material(material: Any, path: Path, folders: Sequence[Path], notes: dict[str, None]) -> FileMaterial:
+def _material(material: Any, path: Path, folders: Sequence[Path], notes: list[str]) -> FileMaterial:
     """A material with its diffuse color or texture; a note if the texture is not read."""
     diffuse = _keep(_keep(material.fbx).diffuse_color)
     texture = _keep(diffuse.texture)
@@ -151,7 +151,5 @@ def _material(material: Any, path: Path, folders: Sequence[Path], notes: dict[st
     reference = (texture.relative_filename or texture.filename).replace("\\", "/")
     content = bytes(texture.content)
     if not content:
-        said: list[str] = []
-        content = image_content(reference, path, folders, said)
-        notes.update(dict.fromkeys(said))
+        content = image_content(reference, path, folders, notes)
     return FileMaterial(material.name, None, Path(reference).name, content)

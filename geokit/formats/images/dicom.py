@@ -239,15 +239,13 @@ def _grids(slices: list[_Slice], name: str, path: Path, pydicom: Any) -> list[Im
                 values = scaled(pixels.reshape(one.size[1], one.size[0], one.size[2]), one.slope, one.shift)
                 if kind.kind == "i" and not same and not (low <= values.min() and values.max() <= high):
                     raise FileFormatError(f"{path}: {one.file.name} has pixels beyond its BitsStored; it is damaged")
-            slab = values.astype(kind).transpose(1, 0, 2)[:, :, None]
-            yield slab if one.size[2] > 1 else slab[..., 0]
+            yield values.astype(kind).transpose(1, 0, 2)[:, :, None]
 
     columns = np.stack([first.axes[0] * first.spacing[1], first.axes[1] * first.spacing[0], step], axis=1)
     image = Image(
         shape=(first.size[0], first.size[1], len(table)),
         dtype=kind,
         transform=affine(columns, places[0]),
-        slabs=lambda: iter(()),
         components=first.size[2],
         name=name,
         unit="mm",

@@ -81,10 +81,15 @@ class Image:
         """Size of the voxels."""
         return int(np.prod(self.shape, dtype=object)) * self.components * self.dtype.itemsize
 
+    def planes(self, dtype: np.dtype[Any]) -> Iterator[NDArray[Any]]:
+        """The voxels as another type, (n, Y, X) or (n, Y, X, C), some planes at a time."""
+        for slab in self.slabs():
+            yield np.ascontiguousarray(slab.transpose(2, 1, 0, *range(3, slab.ndim)), dtype)
+
     def write_to(self, file: Any, dtype: np.dtype[Any]) -> None:
         """Write the voxels as another type, x fastest after the components."""
-        for slab in self.slabs():
-            file.write(np.ascontiguousarray(slab.transpose(2, 1, 0, *range(3, slab.ndim)), dtype).data)
+        for planes in self.planes(dtype):
+            file.write(planes.data)
 
 
 @contextlib.contextmanager
@@ -98,21 +103,31 @@ def reading(path: Path) -> Iterator[None]:
     warn_of(path, dict.fromkeys(" ".join(text.split())[:300] for text in found))
 
 
-def grids_of(path: Path, image: Image, count: int, slabs: Callable[[int], Iterator[NDArray[Any]]]) -> list[Image]:
+def grids_of(
+    path: Path, image: Image, frames: int, slabs: Callable[[int], Iterator[NDArray[Any]]], numbers: int = 0
+) -> list[Image]:
     """The grids of a file that share all but their voxels, called after their numbers.
 
     Args:
         path: The file, for the message.
         image: What they share.
-        count: How many there are.
-        slabs: Called with the number of a grid.
+        frames: How many there are, one after the other.
+        slabs: Gives the voxels (X, Y, Z) or (X, Y, Z, C) of a frame.
+        numbers: C in a frame, if they are more than components: then these are grids of their own.
     Raises:
         FileFormatError: There are more than anyone has.
     """
+    inner = max(1, numbers // image.components)
+    count = frames * inner
+
+    def voxels(grid: int) -> Iterator[NDArray[Any]]:
+        for slab in slabs(grid // inner):
+            yield slab[..., grid % inner] if slab.ndim > 3 and image.components == 1 else slab
+
     if not 0 < count <= MOST_GRIDS:
         raise FileFormatError(f"{path}: holds {count} volumes; the file is damaged, or has its axes in another order")
     return [
-        replace(image, name=str(at) if count > 1 else image.name, slabs=functools.partial(slabs, at))
+        replace(image, name=str(at) if count > 1 else image.name, slabs=functools.partial(voxels, at))
         for at in range(count)
     ]
 

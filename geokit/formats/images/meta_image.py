@@ -84,14 +84,10 @@ def open_images(path: Path, limit: int) -> list[Image]:
         zipped = found.get("compresseddata", "").lower() in ("true", "1")
         size = int(np.prod(shape, dtype=object)) * channels * dtype.itemsize
         data, offset = _data(found, path, at, size, zipped)
-    grids = shape[3] if channels in (1, 3, 4) else shape[3] * channels
-    components = channels if channels in (1, 3, 4) else 1
-    inner = channels // components
 
-    def slabs(grid: int) -> Iterator[NDArray[Any]]:
-        place: Any = {"offset": offset, "skip": grid // inner * (size // shape[3]), "packing": "zlib" if zipped else ""}
-        for slab in slabs_in(path, dtype, (*shape[:3], channels), beside=data, **place):
-            yield slab if components > 1 else slab[..., grid % inner]
+    def slabs(frame: int) -> Iterator[NDArray[Any]]:
+        place: Any = {"offset": offset, "skip": frame * (size // shape[3]), "packing": "zlib" if zipped else ""}
+        return slabs_in(path, dtype, (*shape[:3], channels), beside=data, **place)
 
     note = note_of(found.get("comment"))
     warn_of(path, left_out_keys(own))
@@ -100,13 +96,13 @@ def open_images(path: Path, limit: int) -> list[Image]:
         shape=shape[:3],
         dtype=dtype,
         transform=affine(columns * spacing, origin),
-        components=components,
+        components=channels if channels in (1, 3, 4) else 1,
         unit=str(note.get("unit", "")) or one_unit(path, [told])[1],
         space=str(note.get("space", "LPS")),
         packed=zipped,
         note=note,
     )
-    return grids_of(path, image, grids, slabs)
+    return grids_of(path, image, shape[3], slabs, channels)
 
 
 def _kind(found: dict[str, str], path: Path) -> tuple[tuple[int, int, int, int], int, np.dtype[Any]]:

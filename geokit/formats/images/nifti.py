@@ -99,12 +99,12 @@ def open_images(path: Path, limit: int) -> list[Image]:
 
     def slabs(grid: int) -> Iterator[NDArray[Any]]:
         def part(number: int) -> Iterator[NDArray[Any]]:
-            place: Any = {"skip": offset + number * plane, "packing": "gzip"} if packed else {"skip": 0}
-            begin = 0 if packed else offset + number * plane
-            return slabs_in(path, stored, (*shape, max(1, colors)), offset=begin, **place)
+            begin = offset + number * plane
+            place: Any = {"skip": begin, "packing": "gzip"} if packed else {"offset": begin}
+            return slabs_in(path, stored, (*shape, max(1, colors)), **place)
 
         if vectors == 1:
-            yield from (scaled(slab if colors else slab[..., 0], factor, term) for slab in part(grid))
+            yield from (scaled(slab, factor, term) for slab in part(grid))
         else:  # one component after another
             parts = [np.concatenate([slab[..., 0] for slab in part(grid + frames * at)], 2) for at in range(vectors)]
             yield scaled(np.stack(parts, axis=-1), factor, term)

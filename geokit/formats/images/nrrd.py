@@ -93,29 +93,27 @@ def open_images(path: Path, limit: int) -> list[Image]:
     factors, unit = one_unit(path, units)
     matrix[: len(factors)] *= factors[:, None]
     shape = require_three(path, ([sizes[at] for at in spatial] + [1, 1, 1])[:3])
-    components = lead if lead in (3, 4) and not _is_list(header, 0) else 1
-    grids = frames * (lead // components)
+    kinds = header.get("kinds")
+    is_list = kinds is not None and len(kinds) and str(kinds[0]).lower() in LISTS
     frame_bytes = int(np.prod(shape, dtype=object)) * lead * dtype.itemsize
     note = note_of(header.get("geokit"))
     warn_of(path, left_out_keys(key for key in keys if key != "geokit"))
 
-    def slabs(grid: int) -> Iterator[NDArray[Any]]:
-        inner = lead // components
-        begin = skip + grid // inner * frame_bytes
-        for slab in slabs_in(path, dtype, (*shape, lead), offset=offset, skip=begin, packing=packing, beside=data):
-            yield slab if components > 1 else slab[..., grid % inner]
+    def slabs(frame: int) -> Iterator[NDArray[Any]]:
+        begin = skip + frame * frame_bytes
+        return slabs_in(path, dtype, (*shape, lead), offset=offset, skip=begin, packing=packing, beside=data)
 
     image = Image(
         shape=shape,
         dtype=dtype,
         transform=matrix,
-        components=components,
+        components=lead if lead in (3, 4) and not is_list else 1,
         unit=unit,
         space=space,
         packed=packing != "",
         note=note,
     )
-    return grids_of(path, image, grids, slabs)
+    return grids_of(path, image, frames, slabs, lead)
 
 
 def _type_of(header: Any, path: Path) -> np.dtype[Any]:
@@ -126,11 +124,6 @@ def _type_of(header: Any, path: Path) -> np.dtype[Any]:
     if order not in ("little", "big"):
         raise FileFormatError(f"{path}: has the byte order {order!r}; it is little or big")
     return np.dtype((">" if order == "big" else "<") + kind)
-
-
-def _is_list(header: Any, axis: int) -> bool:
-    kinds = header.get("kinds")
-    return kinds is not None and len(kinds) > axis and str(kinds[axis]).lower() in LISTS
 
 
 def _axes(header: Any, sizes: list[int], path: Path) -> tuple[int, int, list[int]]:

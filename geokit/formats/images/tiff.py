@@ -186,23 +186,22 @@ def open_images(path: Path, limit: int) -> list[Image]:
         size = int(np.prod([shape[0], shape[1], colors], dtype=object)) * dtype.itemsize
         step = rows_at_a_time(size)
         if contiguous is not None:
-            for first, run in _runs(order[grid]):
-                for slab in slabs_in(path, stored, (*shape[:2], run, colors), offset=contiguous, skip=first * size):
-                    yield slab if colors > 1 else slab[..., 0]
+            # Pages that follow each other are read at once.
+            for run in np.split(order[grid], np.flatnonzero(np.diff(order[grid]) != 1) + 1):
+                place: Any = {"offset": contiguous, "skip": int(run[0]) * size}
+                yield from slabs_in(path, stored, (*shape[:2], len(run), colors), **place)
             return
         for first in range(0, shape[2], step):
             rows = order[grid][first : first + step]
             ((_, pages),) = _ask(path, ",".join(map(str, rows.tolist())), len(rows) * size)[1]
             if pages.dtype != dtype or pages.size != len(rows) * size // dtype.itemsize:
                 raise FileFormatError(f"{path}: has pages of {pages.dtype} {pages.shape[1:]}; all need to be alike")
-            slab = pages.reshape(len(rows), shape[1], shape[0], colors).transpose(2, 1, 0, 3)
-            yield slab if colors > 1 else slab[..., 0]
+            yield pages.reshape(len(rows), shape[1], shape[0], colors).transpose(2, 1, 0, 3)
 
     image = Image(
         shape=shape,
         dtype=dtype,
         transform=_transform(facts["steps"], note),
-        slabs=lambda: iter(()),
         components=colors,
         unit=str(note.get("unit", facts["unit"])),
         space=str(note.get("space", "")),
@@ -210,12 +209,6 @@ def open_images(path: Path, limit: int) -> list[Image]:
         note=note,
     )
     return grids_of(path, image, count, slabs)
-
-
-def _runs(rows: NDArray[Any]) -> Iterator[tuple[int, int]]:
-    """First and number of pages that follow each other."""
-    for part in np.split(rows, np.flatnonzero(np.diff(rows) != 1) + 1):
-        yield int(part[0]), len(part)
 
 
 def _pages(path: Path, series: Any, rows: list[int]) -> NDArray[Any]:
@@ -286,9 +279,8 @@ def write_image(path: Path, image: Image, codec: str | None) -> None:
             facts[f"PhysicalSize{axis}Unit"] = {"um": "µm", "angstrom": "Å"}.get(image.unit, image.unit)
 
     def pages() -> Iterator[NDArray[Any]]:
-        for slab in image.slabs():
-            values = np.ascontiguousarray(slab.transpose(2, 1, 0, *range(3, slab.ndim)), dtype)
-            yield from values
+        for planes in image.planes(dtype):
+            yield from planes
 
     big = image.byte_count > (1 << 32) - (32 << 20)
     kind = "rgb" if image.components > 1 and dtype.kind == "u" else "minisblack"

@@ -144,7 +144,6 @@ def _of_array(path: Path, array: Any, name: str, scale: Any, facts: Any, limit: 
         shape=shape,
         dtype=dtype,
         transform=matrix,
-        slabs=lambda: iter(()),
         axis=spatial.index(slow),
         components=sizes[last[0]] if last else 1,
         name=name,
@@ -248,7 +247,6 @@ def _write(zarr: Any, path: Path, image: Image, codec: str | None) -> None:
     group.attrs["multiscales"] = [scale]
     group.attrs["geokit"] = noted({**image.note, "space": image.space})
     at = 0
-    for slab in image.slabs():
-        values = slab.transpose(2, 1, 0, *range(3, slab.ndim))
+    for values in image.planes(image.dtype):
         array[at : at + len(values)] = values
         at += len(values)

@@ -23,7 +23,7 @@ from geokit.errors import FileAccessError, FileFormatError, GeokitError, Missing
 from geokit.formats.file_content.body import Body, FileMaterial
 from geokit.formats.reader import server as reader_server
 from geokit.formats.reader.warnings import warn_of
-from geokit.formats.reader.worker import HEAD_SIZE
+from geokit.formats.reader.worker import DATA, HEAD_SIZE
 
 __all__ = ["FROM_OUTSIDE", "ask", "killed", "read_grids", "read_mesh", "read_points", "reading_seconds", "request_of"]
 
@@ -67,25 +67,16 @@ def read_mesh(
     bodies, rest = [], iter(arrays)
     for fact in facts:
         (_, points), (_, counts), (_, indices) = (next(rest) for _ in range(3))
-        matrix = None if fact["transform"] is None else np.asarray(fact["transform"], np.float64)
-        groups = tuple((name, first, count) for name, first, count in fact["groups"])
-        body = Body(points.reshape(-1, 3), counts, indices.ravel(), fact["name"], matrix, fact["clockwise"], groups)
-        data = [dict(next(rest) for _ in range(count)) for count in fact["data"]]
-        materials = tuple(
+        fact |= {"points": points.reshape(-1, 3), "counts": counts, "indices": indices.ravel()}
+        fact |= {kind: dict(next(rest) for _ in range(fact[kind])) for kind in DATA}
+        fact["materials"] = tuple(
             FileMaterial(name, color and tuple(color), image, bytes(next(rest)[1]), cutoff)
             for name, color, image, cutoff in fact["materials"]
         )
-        bodies.append(
-            body._replace(
-                vertex_data=data[0],
-                polygon_data=data[1],
-                corner_data=data[2],
-                materials=materials,
-                meters_per_unit=fact["meters_per_unit"],
-                up_axis=fact["up_axis"],
-                notes=tuple(fact["notes"]),
-            )
-        )
+        if fact["transform"] is not None:
+            fact["transform"] = np.asarray(fact["transform"], np.float64)
+        fact |= {"groups": tuple(map(tuple, fact["groups"])), "notes": tuple(fact["notes"])}
+        bodies.append(Body(**fact))
     return bodies
 
 

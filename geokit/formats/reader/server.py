@@ -19,6 +19,7 @@ from __future__ import annotations
 import atexit
 import contextlib
 import io
+import json
 import os
 import select
 import signal
@@ -89,16 +90,13 @@ class Exchange(NamedTuple):
     status: int
     deadline: float
 
-    def receive(self, size: int) -> NDArray[np.uint8]:
-        """The next bytes of the answer.
+    def receive(self, size: int, *, started: bool = True) -> NDArray[np.uint8]:
+        """The next bytes of the answer, or of what comes before it where the process has not ``started`` to read.
 
         Raises:
             Ended: The process has ended before them.
             TimeExpired: They did not come in time.
         """
-        return self._receive(size, started=True)
-
-    def _receive(self, size: int, *, started: bool) -> NDArray[np.uint8]:
         content = np.empty(size, np.uint8)
         at, view = 0, content.data
         while at < size:
@@ -119,7 +117,7 @@ class Exchange(NamedTuple):
         self._set_timeout()
         with contextlib.suppress(OSError):  # it has ended, which the answer tells
             self.channel.sendall(request)
-        self._receive(len(reader_worker.READY), started=False)
+        self.receive(len(reader_worker.READY), started=False)
 
     def _how_it_ended(self) -> int | str | None:
         told = select.poll()
@@ -147,12 +145,12 @@ def exchange(module: str, request: dict[str, Any], seconds: float) -> Iterator[E
         TimeExpired: The answer did not come in time.
     """
     memory = min(request["memory"], *limits("AS"))
-    content = reader_worker.encoded({**request, "memory": memory, "seconds": seconds, "environment": _environment()})
+    told = {**request, "memory": memory, "seconds": seconds, "environment": _environment()}
     # The first server may have ended meanwhile, of age or killed from outside.
     for last in (False, True):
         with _passed(module, seconds + GRACE_SECONDS) as found:
             try:
-                found._start(content)
+                found._start(json.dumps(told).encode() + b"\n")
             except Ended as end:
                 if not isinstance(end.reason, int):  # the server has gone, or can serve no more
                     _forget(module, found.control)

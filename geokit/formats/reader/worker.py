@@ -28,10 +28,12 @@ from geokit.errors import FileAccessError, FileFormatError
 from geokit.formats.file_content.body import Body
 from geokit.formats.reader.warnings import collected
 
-__all__ = ["HEAD_SIZE", "READY", "Request", "encoded", "main"]
+__all__ = ["DATA", "HEAD_SIZE", "READY", "Request", "main"]
 
 # Comes before the answer once the process has started, before it opens the file.
 READY = b"ready\n"
+# Arrays of a body by name.
+DATA = ("vertex_data", "polygon_data", "corner_data")
 # The size of the answer's text, before it.
 HEAD_SIZE = struct.Struct("<Q")
 # A server that has had no file for so long [s] ends: it holds some 100 MB.
@@ -67,11 +69,6 @@ class Request(TypedDict):
     memory: int
     seconds: float
     environment: dict[str, str]
-
-
-def encoded(request: dict[str, Any]) -> bytes:
-    """The request as it is sent."""
-    return json.dumps(request).encode() + b"\n"
 
 
 def main() -> None:
@@ -282,23 +279,14 @@ def _mesh(bodies: list[Body]) -> tuple[Any, Named]:
     facts: list[dict[str, Any]] = []
     arrays: Named = []
     for body in bodies:
-        matrix = None if body.transform is None else [list(map(float, row)) for row in body.transform]
-        data = [body.vertex_data, body.polygon_data, body.corner_data]
-        facts.append(
-            {
-                "name": body.name,
-                "transform": matrix,
-                "clockwise": bool(body.clockwise),
-                "groups": body.groups,
-                "data": [len(kind) for kind in data],
-                "materials": [[*material[:3], material.alpha_cutoff] for material in body.materials],
-                "meters_per_unit": body.meters_per_unit,
-                "up_axis": body.up_axis,
-                "notes": body.notes,
-            }
-        )
+        # In place of what follows as arrays: how many there are.
+        sent: dict[str, Any] = dict.fromkeys(("points", "counts", "indices"))
+        sent |= {kind: len(getattr(body, kind)) for kind in DATA}
+        sent["materials"] = [[*material[:3], material.alpha_cutoff] for material in body.materials]
+        sent["transform"] = None if body.transform is None else [list(map(float, row)) for row in body.transform]
+        facts.append({**body._asdict(), **sent, "clockwise": bool(body.clockwise)})
         arrays += [("points", body.points), ("counts", body.counts), ("indices", body.indices)]
-        arrays += [item for kind in data for item in kind.items()]
+        arrays += [item for kind in DATA for item in getattr(body, kind).items()]
         arrays += [("", material.texture) for material in body.materials]
     return facts, arrays
 

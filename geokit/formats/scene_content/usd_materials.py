@@ -47,7 +47,7 @@ class Materials:
 
     def __init__(self, path: Path, folders: Sequence[Path]) -> None:
         self.found: list[FileMaterial] = []
-        self.notes: dict[str, None] = {}
+        self.notes: list[str] = []
         self._path, self._folders = path, folders
         self._rows: dict[str, int] = {}
         self._images: dict[str, tuple[str, bytes]] = {}
@@ -90,7 +90,7 @@ class Materials:
                 read, mapped_by = self._read(material)
             except (TypeError, ValueError, RuntimeError) as error:  # values of other types than the names promise
                 read, mapped_by = FileMaterial(_name(prim)), ""
-                self.notes[f"the look of material {prim.GetName()!r} is left out ({type(error).__name__})"] = None
+                self.notes.append(f"the look of material {prim.GetName()!r} is left out ({type(error).__name__})")
             self.found.append(read)
             self._coordinates.append(mapped_by)
         return self._rows[path]
@@ -99,7 +99,7 @@ class Materials:
         name = _name(material.GetPrim())
         shader = material.ComputeSurfaceSource()[0]
         if not shader or shader.GetIdAttr().Get() != "UsdPreviewSurface":
-            self.notes["of materials other than UsdPreviewSurface only the names are read"] = None
+            self.notes.append("of materials other than UsdPreviewSurface only the names are read")
             return FileMaterial(name), ""
         color, opacity, threshold = None, 1.0, 0.0
         texture = opaque_by = None
@@ -111,7 +111,7 @@ class Materials:
                 texture = source
                 if source is None and value is None and given.HasConnectedSource():
                     if not _is_primvar(given, "displayColor"):
-                        self.notes[f"the color of material {name!r} is computed, which is not read"] = None
+                        self.notes.append(f"the color of material {name!r} is computed, which is not read")
                 elif value is not None:
                     color = tuple(map(float, value))
             elif label == "opacity":
@@ -120,7 +120,7 @@ class Materials:
             elif label == "opacityThreshold":
                 threshold = threshold if value is None else float(value)
             elif source is not None:
-                self.notes[_OTHER_TEXTURES] = None
+                self.notes.append(_OTHER_TEXTURES)
         image_name, content, mapped_by = "", b"", ""
         if texture is not None:
             image_name, content = self._image(texture)
@@ -130,7 +130,7 @@ class Materials:
         elif color is not None:
             color = (*color[:3], 1.0)
         if opaque_by is not None and (texture is None or opaque_by.GetPrim() != texture.GetPrim()):
-            self.notes[_OTHER_TEXTURES] = None
+            self.notes.append(_OTHER_TEXTURES)
             opaque_by = None
         cutoff = None
         if has_alpha(color, content):
@@ -142,7 +142,7 @@ class Materials:
         """What the colors of a texture are multiplied by; None if the file does not say."""
         values = {str(given.GetBaseName()): _value(given) for given in texture.GetInputs()}
         if any(values.get("bias") or ()):
-            self.notes[f"what is added to the texture of material {name!r} is left out"] = None
+            self.notes.append(f"what is added to the texture of material {name!r} is left out")
         scale = values.get("scale")
         return None if scale is None else tuple(map(float, scale))
 
@@ -155,7 +155,7 @@ class Materials:
             for label, plain in neutral.items():
                 value = _value(shader.GetInput(label)) if shader.GetInput(label) else None
                 if value is not None and value != plain:
-                    self.notes[f"the transform of the texture of material {name!r} is left out"] = None
+                    self.notes.append(f"the transform of the texture of material {name!r} is left out")
             given = shader.GetInput("in")
             shader = next(_shaders(given), None) if given else None
         wanted = shader.GetInput("varname") if shader is not None else None
@@ -172,28 +172,26 @@ class Materials:
         if where in self._images:
             return self._images[where]
         plain = reference.replace("\\", "/").rpartition("/")[2].rstrip("]").rpartition("[")[2]
-        said: list[str] = []
         content = b""
         if not reference:
-            said.append("a texture without a file is left out")
+            self.notes.append("a texture without a file is left out")
         elif "<UDIM>" in reference:
-            said.append(f"the texture {reference[:LONGEST]!r} is left out: it is of several images")
+            self.notes.append(f"the texture {reference[:LONGEST]!r} is left out: it is of several images")
         elif Ar.IsPackageRelativePath(where):
             outer, inner = Ar.SplitPackageRelativePathOuter(where)
             try:
                 archive = require_inside(reference, self._path.parent / outer, self._path, self._folders)
                 with zipfile.ZipFile(archive) as held:
                     if held.getinfo(inner).file_size > LARGEST_FILE:
-                        said.append(f"{reference[:LONGEST]!r} is too large: its texture is left out")
+                        self.notes.append(f"{reference[:LONGEST]!r} is too large: its texture is left out")
                     else:
                         content = held.read(inner)
             except FileAccessError as error:
-                said.append(f"{str(error).removeprefix(f'{self._path}: ')} (its texture is left out)")
+                self.notes.append(f"{str(error).removeprefix(f'{self._path}: ')} (its texture is left out)")
             except (OSError, KeyError, ValueError, RuntimeError, zipfile.BadZipFile, zlib.error) as error:
-                said.append(f"{reference[:LONGEST]!r} cannot be unpacked ({error}): its texture is left out")
+                self.notes.append(f"{reference[:LONGEST]!r} cannot be unpacked ({error}): its texture is left out")
         else:
-            content = image_content(where, self._path, self._folders, said)
-        self.notes.update(dict.fromkeys(said))
+            content = image_content(where, self._path, self._folders, self.notes)
         self._images[where] = plain, content
         return plain, content
 

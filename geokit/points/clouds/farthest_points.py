@@ -6,6 +6,7 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from geokit.core import launcher
+from geokit.core.scan import gathered
 from geokit.points.search.cells import survey
 
 if TYPE_CHECKING:
@@ -33,7 +34,6 @@ def farthest_points(points: "wp.array", count: int, start: int) -> tuple["wp.arr
     """
     import warp as wp
 
-    from geokit.core.sorting.gather_kernels import GATHER
     from geokit.points.clouds import farthest_points_kernels as kernels
 
     device: Any = points.device
@@ -67,6 +67,4 @@ def farthest_points(points: "wp.array", count: int, start: int) -> tuple["wp.arr
     # Each step depends on the previous one: one CPU thread, or the threads of one GPU block.
     threads = 1 if device.is_cpu else launcher.BLOCK_DIM
     launcher.launch(kernels.greedy_kernel, threads, [cloud, first, count], [indices], device)
-    taken = wp.empty(count, dtype=wp.vec3d, device=device)
-    launcher.launch(GATHER[wp.vec3d], count, [points, indices], [taken], device)
-    return taken, indices
+    return gathered(points, indices), indices

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from geokit.core import launcher
 from geokit.core.memory.unchecked import sort_pairs
+from geokit.core.scan import prefix_sum
 from geokit.errors import InputError
 
 if TYPE_CHECKING:
@@ -148,10 +149,8 @@ def _vote(
         # One more bit for what has become internal, which comes last.
         sort_pairs(pair, vote, total, end_bit=2 * pair_bits + 1)
         head = wp.empty(total, dtype=wp.int32, device=device)
-        place = wp.empty(total, dtype=wp.int32, device=device)
         launcher.launch(kernels.head_kernel, total, [pair, pair_bits], [head], device)
-        wp.utils.array_scan(head, place, inclusive=True)
-        merged = int(place[total - 1 :].numpy()[0])
+        place, merged = prefix_sum(head)
         summed = room(merged)
         launcher.launch(kernels.sum_kernel, total, [pair, vote, total, head, place], summed, device)
         (pair, vote), total = summed, merged

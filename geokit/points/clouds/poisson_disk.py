@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geokit.core import launcher
+from geokit.core.scan import flagged, gathered
 from geokit.points.neighbors.neighbor_grid import NeighborGrid
 
 if TYPE_CHECKING:
@@ -37,7 +38,6 @@ def poisson_disk_subset(points: "wp.array", radius: float, seed: int) -> tuple["
     """
     import warp as wp
 
-    from geokit.core.sorting.gather_kernels import GATHER
     from geokit.points.clouds import poisson_disk_kernels as kernels
 
     device: Any = points.device
@@ -53,49 +53,13 @@ def poisson_disk_subset(points: "wp.array", radius: float, seed: int) -> tuple["
     waiting = wp.array(tried, dtype=wp.int32, device=device)
     taken = wp.zeros(count, dtype=wp.int32, device=device)
     while len(waiting):
-        rows = wp.empty(len(waiting), dtype=wp.vec3d, device=device)
-        launcher.launch(GATHER[wp.vec3d], len(waiting), [points, waiting], [rows], device)
-        grid = NeighborGrid(rows, radius, device=device)._cells_for(radius).grid
+        grid = NeighborGrid(gathered(points, waiting), radius, device=device)._cells_for(radius).grid
         # By sorted position: 1 is taken, 2 is rejected.
         state = wp.zeros(len(waiting), dtype=wp.int8, device=device)
         launcher.launch(kernels.take_kernel, len(waiting), [grid, *search], [state], device)
         launcher.launch(kernels.refuse_kernel, len(waiting), [grid, *search], [state], device)
         left = wp.empty(len(waiting), dtype=wp.int32, device=device)
         launcher.launch(kernels.outcome_kernel, len(waiting), [grid, state, waiting], [left, taken], device)
-        waiting = _those_left(waiting, left)
-    return _those_taken(points, taken)
-
-
-def _those_left(waiting: "wp.array", left: "wp.array") -> "wp.array":
-    """The entries whose flag is 1, in order."""
-    import warp as wp
-
-    from geokit.points.clouds.poisson_disk_kernels import keep_kernel
-
-    device: Any = waiting.device
-    place, count = _counted(left)
-    kept = wp.empty(count, dtype=wp.int32, device=device)
-    launcher.launch(keep_kernel, len(waiting), [waiting, left, place], [kept], device)
-    return kept
-
-
-def _those_taken(points: "wp.array", taken: "wp.array") -> tuple["wp.array", "wp.array"]:
-    import warp as wp
-
-    from geokit.points.clouds.poisson_disk_kernels import keep_points_kernel
-
-    device: Any = points.device
-    place, count = _counted(taken)
-    kept = wp.empty(count, dtype=wp.vec3d, device=device)
-    indices = wp.empty(count, dtype=wp.int32, device=device)
-    launcher.launch(keep_points_kernel, len(points), [points, taken, place], [kept, indices], device)
-    return kept, indices
-
-
-def _counted(flag: "wp.array") -> tuple["wp.array", int]:
-    """Inclusive prefix sum of the flags, and their total."""
-    import warp as wp
-
-    place = wp.empty(len(flag), dtype=wp.int32, device=flag.device)
-    wp.utils.array_scan(flag, place, inclusive=True)
-    return place, int(place[len(flag) - 1 :].numpy()[0])
+        waiting = gathered(waiting, flagged(left))
+    kept = flagged(taken)
+    return gathered(points, kept), kept

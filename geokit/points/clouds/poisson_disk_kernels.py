@@ -90,33 +90,3 @@ def outcome_kernel(
     out_left[number] = wp.where(state[i] == WAITING, 1, 0)
     if state[i] == TAKEN:
         out_taken[waiting[number]] = 1
-
-
-@wp.kernel
-def keep_kernel(
-    first: int,
-    entry: wp.array(dtype=wp.int32),
-    flag: wp.array(dtype=wp.int32),
-    place: wp.array(dtype=wp.int32),
-    out_entry: wp.array(dtype=wp.int32),
-):
-    """Compact the flagged entries; ``place`` is the inclusive prefix sum of the flags."""
-    i = first + wp.tid()
-    if flag[i] == 1:
-        out_entry[place[i] - 1] = entry[i]
-
-
-@wp.kernel
-def keep_points_kernel(
-    first: int,
-    points: wp.array(dtype=wp.vec3d),
-    flag: wp.array(dtype=wp.int32),
-    place: wp.array(dtype=wp.int32),
-    out_points: wp.array(dtype=wp.vec3d),
-    out_index: wp.array(dtype=wp.int32),
-):
-    """Compact the flagged points and their indices; ``place`` is the inclusive prefix sum of the flags."""
-    i = first + wp.tid()
-    if flag[i] == 1:
-        out_points[place[i] - 1] = points[i]
-        out_index[place[i] - 1] = i

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from geokit.core import launcher
 from geokit.core.memory.unchecked import sort_pairs
+from geokit.core.scan import gathered, prefix_sum
 from geokit.errors import InputError
 from geokit.points.search.cells import survey
 
@@ -96,10 +97,9 @@ def centroids_by_pieces(order: VoxelOrder) -> tuple["wp.array", "wp.array"]:
     indices = wp.empty(count, dtype=wp.int32, device=device)
     if count == 0:
         return centroids, indices
-    piece_end = wp.empty(count, dtype=wp.int32, device=device)
-    launcher.launch(kernels.piece_count_kernel, count, [begin], [piece_end], device)
-    wp.utils.array_scan(piece_end, piece_end, inclusive=True)
-    pieces = int(piece_end[count - 1 :].numpy()[0])
+    piece_count = wp.empty(count, dtype=wp.int32, device=device)
+    launcher.launch(kernels.piece_count_kernel, count, [begin], [piece_count], device)
+    piece_end, pieces = prefix_sum(piece_count)
     sums = wp.empty(pieces, dtype=wp.vec3d, device=device)
     launcher.launch(kernels.piece_sum_kernel, pieces, [points, begin, piece_end], [sums], device)
     means = wp.empty(count, dtype=wp.vec3d, device=device)
@@ -211,17 +211,16 @@ def _ranked(keys: "wp.array", count: int, key_count: int) -> tuple["wp.array", i
 
     from geokit.points.clouds.voxel_centroids_kernels import rank_kernel
 
-    order, numbers = _sorted_numbers(keys, count, key_count)
+    order, numbers, distinct = _sorted_numbers(keys, count, key_count)
     ranks = wp.empty(count, dtype=wp.int32, device=keys.device)
     launcher.launch(rank_kernel, count, [order, numbers], [ranks], keys.device)
-    return ranks, int(numbers[count - 1 :].numpy()[0])
+    return ranks, distinct
 
 
 def _sorted_by(points: "wp.array", keys: Any, key_count: int) -> VoxelOrder:
     """Points sorted by ascending key, stable; the keys are in the first half of an array."""
     import warp as wp
 
-    from geokit.core.sorting.gather_kernels import GATHER
     from geokit.points.clouds.voxel_centroids_kernels import begin_kernel
 
     device: Any = points.device
@@ -229,17 +228,14 @@ def _sorted_by(points: "wp.array", keys: Any, key_count: int) -> VoxelOrder:
     if count == 0:
         none = wp.empty(0, dtype=wp.int32, device=device)
         return VoxelOrder(points, none, wp.zeros(1, dtype=wp.int32, device=device))
-    order, numbers = _sorted_numbers(keys, count, key_count)
-    run_count = int(numbers[count - 1 :].numpy()[0])
+    order, numbers, run_count = _sorted_numbers(keys, count, key_count)
     begin = wp.empty(run_count + 1, dtype=wp.int32, device=device)
     launcher.launch(begin_kernel, count, [numbers], [begin], device)
-    rows = wp.empty(count, dtype=wp.vec3d, device=device)
-    launcher.launch(GATHER[wp.vec3d], count, [points, order], [rows], device)
-    return VoxelOrder(rows, order, begin)
+    return VoxelOrder(gathered(points, order[:count]), order, begin)
 
 
-def _sorted_numbers(keys: "wp.array", count: int, key_count: int) -> tuple["wp.array", "wp.array"]:
-    """The stable order that sorts the keys, and for each sorted key the number of distinct keys up to it."""
+def _sorted_numbers(keys: "wp.array", count: int, key_count: int) -> tuple["wp.array", "wp.array", int]:
+    """The stable order that sorts the keys, for each sorted key the number of distinct keys up to it, and of all."""
     import warp as wp
 
     from geokit.core.morton_order_kernels import identity_kernel
@@ -250,7 +246,6 @@ def _sorted_numbers(keys: "wp.array", count: int, key_count: int) -> tuple["wp.a
     order = wp.empty(2 * count, dtype=wp.int32, device=device)
     launcher.launch(identity_kernel, count, [], [order], device)
     sort_pairs(keys, order, count, end_bit=max(1, (key_count - 1).bit_length()))
-    numbers = wp.empty(count, dtype=wp.int32, device=device)
-    launcher.launch(head_kernel, count, [keys], [numbers], device)
-    wp.utils.array_scan(numbers, numbers, inclusive=True)
-    return order, numbers
+    head = wp.empty(count, dtype=wp.int32, device=device)
+    launcher.launch(head_kernel, count, [keys], [head], device)
+    return order, *prefix_sum(head)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from geokit.core import launcher
 from geokit.core.launches import prepared
 from geokit.core.memory.unchecked import sort_pairs
+from geokit.core.scan import flagged, prefix_sum
 
 if TYPE_CHECKING:
     import warp as wp
@@ -151,18 +152,19 @@ def _refine(points: "wp.array", order: "wp.array", head: "wp.array", device: Any
     from geokit.points.search import nearest_tree_kernels as kernels
 
     count = len(points)
-    run = wp.empty(count, dtype=wp.int32, device=device)
     run_count = 0
     for _ in range(rounds):
-        wp.utils.array_scan(head, run, inclusive=True)
-        runs_before, run_count = run_count, int(run[count - 1 :].numpy()[0])
+        runs_before = run_count
+        run, run_count = prefix_sum(head)
         # Equal points stay together: the first round that separates nothing is the last.
         if run_count == runs_before:
             return
         start = wp.empty(run_count + 1, dtype=wp.int32, device=device)
         launcher.launch(kernels.run_start_kernel, count, [head, run], [start], device)
-        member = _members(run, start, count, device)
-        if member is None:
+        crowded = wp.empty(count, dtype=wp.int32, device=device)
+        launcher.launch(kernels.crowded_kernel, count, [run, start], [crowded], device)
+        member = flagged(crowded)
+        if not len(member):
             return
         frame = wp.empty(run_count, dtype=wp.vec4d, device=device)
         launcher.launch(kernels.frame_kernel, run_count, [points, order, start], [frame], device)
@@ -192,24 +194,6 @@ def _add_boxes(tree: Any, device: Any) -> None:
     for level in range(1, tree.top):
         own = [int(firsts[level]), sizes[level], int(firsts[level + 1])]
         launcher.launch(kernels.node_box_kernel, sizes[level + 1] * width, own, boxes, device, grain=BLOCK_GRAIN)
-
-
-def _members(run: "wp.array", start: "wp.array", count: int, device: Any) -> Any:
-    """Sorted points in runs longer than a leaf; None if there are none."""
-    import warp as wp
-
-    from geokit.points.search import nearest_tree_kernels as kernels
-
-    crowded = wp.empty(count, dtype=wp.int32, device=device)
-    launcher.launch(kernels.crowded_kernel, count, [run, start], [crowded], device)
-    place = wp.empty(count, dtype=wp.int32, device=device)
-    wp.utils.array_scan(crowded, place, inclusive=True)
-    total = int(place[count - 1 :].numpy()[0])
-    if total == 0:
-        return None
-    member = wp.empty(total, dtype=wp.int32, device=device)
-    launcher.launch(kernels.member_kernel, count, [crowded, place], [member], device)
-    return member
 
 
 def _sort_members(

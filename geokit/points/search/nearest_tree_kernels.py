@@ -198,19 +198,6 @@ def crowded_kernel(
 
 
 @wp.kernel
-def member_kernel(
-    first: int,
-    crowded: wp.array(dtype=wp.int32),
-    place: wp.array(dtype=wp.int32),
-    out_member: wp.array(dtype=wp.int32),
-):
-    """Compact the sorted points whose crowded flag is set; ``place`` is the inclusive prefix sum of the flags."""
-    i = first + wp.tid()
-    if crowded[i] == 1:
-        out_member[place[i] - 1] = i
-
-
-@wp.kernel
 def frame_kernel(
     first: int,
     points: wp.array(dtype=wp.vec3d),

@@ -14,7 +14,7 @@ from geokit.core import launcher
 from geokit.core.interop.arrays import reinterpreted
 from geokit.core.interop.user_arrays import read_numbers
 from geokit.core.memory import available_memory, host_pool
-from geokit.core.scan import prefix_sum
+from geokit.core.scan import gathered, prefix_sum
 from geokit.errors import DeviceMemoryError, InputError
 
 if TYPE_CHECKING:
@@ -170,14 +170,8 @@ def sort_by_distance(offsets: Any, indices: Any, distance: Any, *others: Any) ->
     """Rows sorted by distance, then by the order in which they are given, and other arrays of theirs."""
     import warp as wp
 
-    from geokit.core.sorting.gather_kernels import GATHER
     from geokit.points.search import radius
 
-    device = offsets.device
-    place = wp.array(np.arange(len(indices)), dtype=wp.int32, device=device)
+    place = wp.array(np.arange(len(indices)), dtype=wp.int32, device=offsets.device)
     radius.sort_by_distance(offsets, place, distance)
-    found = []
-    for rows in (indices, *others):
-        found.append(wp.empty_like(rows))
-        launcher.launch(GATHER[rows.dtype], len(rows), [rows, place], found[-1:], device)
-    return offsets, found[0], distance, *found[1:]
+    return offsets, gathered(indices, place), distance, *(gathered(rows, place) for rows in others)

@@ -9,7 +9,7 @@ import numpy as np
 
 from geokit.core import launcher
 from geokit.core.memory import available_memory, host_pool
-from geokit.core.scan import prefix_sum, row_offsets
+from geokit.core.scan import gathered, prefix_sum, row_offsets
 from geokit.errors import DeviceMemoryError
 from geokit.points.search.cells import Cells, has_groups, sorted_keys
 
@@ -174,9 +174,7 @@ def _arranged(grid: Any, rows: "wp.array", chosen: np.ndarray | None, device: "w
 
     if chosen is not None:
         places = wp.array(chosen, dtype=wp.int32, device=device)
-        picked = wp.empty(len(chosen), dtype=rows.dtype, device=device)
-        launcher.launch(GATHER[rows.dtype], len(chosen), [rows, places], [picked], device)
-        rows = picked
+        rows = gathered(rows, places)
         group = None if group is None else wp.array(group.numpy()[chosen], dtype=wp.int32, device=device)
     count = len(rows)
     if count < launcher.MINIMUM_ORDERED:

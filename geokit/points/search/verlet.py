@@ -15,7 +15,7 @@ import numpy as np
 from geokit.core import launcher
 from geokit.core.base.forks import Lock
 from geokit.core.memory import host_pool
-from geokit.core.scan import row_offsets
+from geokit.core.scan import gathered, row_offsets
 from geokit.points.search import radius as search
 from geokit.points.search.periodic import Images, sort_by_distance
 
@@ -62,7 +62,6 @@ class VerletLists:
     ) -> None:
         import warp as wp
 
-        from geokit.core.sorting.gather_kernels import GATHER
         from geokit.points.search import verlet_kernels as kernels
         from geokit.points.search.cells_kernels import CellGrid
         from geokit.points.search.neighbors_kernels import Queries
@@ -91,9 +90,7 @@ class VerletLists:
         # Lists are in the order of the cells, so that those which are read together lie together.
         lists.point = queries.index
         place_of = self._inverse(grid.index, places)
-        lists.place = wp.empty(self._count, dtype=wp.int32, device=device)
-        wp.copy(lists.place, queries.index)
-        launcher.launch(GATHER[wp.int32], self._count, [place_of, lists.place], [lists.place], device)
+        lists.place = gathered(place_of, queries.index)
         ranked, numbered = _copy(CellGrid, grid), _copy(Queries, queries)
         ranked.index = ranks
         numbered.index = wp.array(np.arange(self._count), dtype=wp.int32, device=device)
@@ -106,8 +103,7 @@ class VerletLists:
             search.launch_shares(list_kernel, self._count, given, [lists.near], device)
         else:
             lists.start, found, _ = search.fill(asked, counts, refuse)
-            launcher.launch(GATHER[wp.int32], len(found), [self._inverse(ranks, places), found], [found], device)
-            lists.near = found
+            lists.near = gathered(self._inverse(ranks, places), found)
         # Where the places are now is computed when it is needed.
         lists.at = None
         if images is None:
@@ -221,13 +217,7 @@ class VerletLists:
 
     def named(self, places: "wp.array") -> "wp.array":
         """The point of each neighbor, in its stead."""
-        import warp as wp
-
-        from geokit.core.sorting.gather_kernels import GATHER
-
-        if self._images is not None:
-            launcher.launch(GATHER[wp.int32], len(places), [self._lists.of, places], [places], self._device)
-        return places
+        return places if self._images is None else gathered(self._lists.of, places)
 
     def shifts(self, offsets: "wp.array", places: "wp.array") -> "wp.array":
         """Shift of each neighbor in a periodic cell, int32 (M, 3)."""

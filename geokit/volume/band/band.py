@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from geokit.core import launcher
 from geokit.core.memory.pinned import host_flags
-from geokit.core.scan import prefix_sum
+from geokit.core.scan import flagged, gathered
 from geokit.volume.band.sign_change_tiles import beyond_signs, keep_sign_changes, with_sign_changes
 from geokit.volume.band.signs import inside_bits
 from geokit.volume.band.tiles import Lattice, Tiles, near_tiles
@@ -253,15 +253,11 @@ def _kept(leaves: Leaves, chosen: "wp.array", bits: list["wp.array"]) -> tuple[L
     """The chosen leaves, and their rows of the bit masks."""
     import warp as wp
 
-    from geokit.volume.band.band_kernels import keep_bits_kernel, keep_rows_kernel
+    from geokit.volume.band.band_kernels import kept_bits_kernel
 
-    device = chosen.device
-    ends, count = prefix_sum(chosen)
-    rows = wp.empty(count, dtype=wp.int32, device=device)
-    keys = wp.empty(count, dtype=wp.int64, device=device)
-    launcher.launch(keep_rows_kernel, len(chosen), [chosen, ends, leaves.rows, leaves.keys], [rows, keys], device)
+    chosen = flagged(chosen)
     kept = []
     for words in bits:
-        kept.append(wp.empty((count, 8), dtype=wp.uint64, device=device))
-        launcher.launch(keep_bits_kernel, len(chosen), [chosen, ends, words], [kept[-1]], device)
-    return Leaves(keys, leaves.tiles, rows, leaves.axes), kept
+        kept.append(wp.empty((len(chosen), 8), dtype=wp.uint64, device=chosen.device))
+        launcher.launch(kept_bits_kernel, len(chosen), [chosen, words], [kept[-1]], chosen.device)
+    return Leaves(gathered(leaves.keys, chosen), leaves.tiles, gathered(leaves.rows, chosen), leaves.axes), kept

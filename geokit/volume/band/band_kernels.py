@@ -52,33 +52,12 @@ def any_bits_kernel(first: int, bits: wp.array2d(dtype=wp.uint64), out_some: wp.
 
 
 @wp.kernel
-def keep_rows_kernel(
-    first: int,
-    kept: wp.array(dtype=int),
-    ends: wp.array(dtype=int),
-    rows: wp.array(dtype=int),
-    keys: wp.array(dtype=wp.int64),
-    out_rows: wp.array(dtype=int),
-    out_keys: wp.array(dtype=wp.int64),
+def kept_bits_kernel(
+    first: int, kept: wp.array(dtype=int), bits: wp.array2d(dtype=wp.uint64), out_bits: wp.array2d(dtype=wp.uint64)
 ):
     i = first + wp.tid()
-    if kept[i] != 0:
-        out_rows[ends[i] - 1] = rows[i]
-        out_keys[ends[i] - 1] = keys[i]
-
-
-@wp.kernel
-def keep_bits_kernel(
-    first: int,
-    kept: wp.array(dtype=int),
-    ends: wp.array(dtype=int),
-    bits: wp.array2d(dtype=wp.uint64),
-    out_bits: wp.array2d(dtype=wp.uint64),
-):
-    i = first + wp.tid()
-    if kept[i] != 0:
-        for x in range(8):
-            out_bits[ends[i] - 1, x] = bits[i, x]
+    for x in range(8):
+        out_bits[i, x] = bits[kept[i], x]
 
 
 @wp.kernel

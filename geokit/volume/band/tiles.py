@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from geokit.core import launcher
 from geokit.core.memory import available_memory
 from geokit.core.memory.unchecked import allocating, sort_pairs
-from geokit.core.scan import prefix_sum
+from geokit.core.scan import gathered, prefix_sum
 from geokit.errors import DeviceMemoryError
 from geokit.volume.band.lattice_origin import index_translation
 
@@ -199,7 +199,6 @@ def in_grid_order(
     """
     import warp as wp
 
-    from geokit.core.sorting.gather_kernels import GATHER
     from geokit.volume.band import tiles_kernels as kernels
 
     device = cells.device
@@ -211,8 +210,7 @@ def in_grid_order(
     launcher.launch(kernels.tile_keys_kernel, len(cells), inputs, [keys, rows], device)
     if count > 1:
         sort_pairs(keys, rows, count, end_bit=63)
-    tiles = wp.empty(count, dtype=wp.vec3i, device=device)
-    launcher.launch(GATHER[wp.vec3i], count, [cells, rows], [tiles], device)
+    tiles = gathered(cells, rows[:count])
     # NanoVDB's keys sort negative coordinates last, and so does tile_keys_kernel.
     lines = [np.arange(a, b + 1) for a, b in zip(first, last, strict=True)]
     axes = tuple(np.concatenate([line[line >= 0], line[line < 0]]) for line in lines)

@@ -85,16 +85,15 @@ def counts_of(volume: SparseVolume) -> Counts:
 def _counted(volume: SparseVolume) -> Counts:
     check_volume(volume)
     grid = grid_nodes(above_leaves(volume))
-    lower, upper = (sum(_ones(part.tile_mask) for _, part in level.parts()) for level in (grid.lower, grid.upper))
+    lower, upper = (
+        sum(int(np.unpackbits(part.tile_mask[part.tile_mask != 0]).sum(dtype=np.int64)) for _, part in level.parts())
+        for level in (grid.lower, grid.upper)
+    )
     table = grid.table
     is_active = (table["child"] == 0) & (table["state"] != 0)
     corners = root_origins(table["key"][is_active | (table["child"] != 0)]).astype(np.int64) >> 3
     box = np.stack([corners.min(axis=0), corners.max(axis=0) + 511]) if len(corners) else None
     return Counts(grid.leaf.count, lower, upper, int(is_active.sum()), box)
-
-
-def _ones(masks: NDArray[np.uint8]) -> int:
-    return int(np.unpackbits(masks[masks != 0]).sum(dtype=np.int64))
 
 
 def least_leaves(voxels: int, reach: float) -> float:
