@@ -54,13 +54,10 @@ def read_mesh(path: Path) -> list[Body]:
     vertex: dict[str, NDArray[Any]] = {}
     if points is None or points.shape[1] != 3:
         whole = [line.split() for line in first]
-        rows = [row[:3] for row in whole]
-        if any(len(row) < 3 for row in rows):
-            row = next(at for at, tokens in enumerate(rows) if len(tokens) < 3)
-            raise FileFormatError(
-                f"{path}: vertex {row} has {len(rows[row])} coordinates, not three; the file is damaged"
-            )
-        points = numbers([token for row_tokens in rows for token in row_tokens], np.float64, path, "vertices")
+        for at, row in enumerate(whole):
+            if len(row) < 3:
+                raise FileFormatError(f"{path}: vertex {at} has {len(row)} coordinates, not three; the file is damaged")
+        points = numbers([token for row in whole for token in row[:3]], np.float64, path, "vertices")
         if header[1] or any(len(row) > 3 for row in whole):
             vertex = _vertex_data(whole, header, path, notes)
     counts, indices, colors = _polygons(lines[1 + vertex_count :], face_count, path)
@@ -71,8 +68,8 @@ def read_mesh(path: Path) -> list[Body]:
             polygon = {"color": _colors(colors, path)}
         else:
             notes.append("the colors of faces are left out: not each face has one of 3 or 4 numbers")
-    found = points.reshape(-1, 3), counts, indices
-    return [Body(*found, vertex_data=vertex, polygon_data=polygon, notes=tuple(notes))]
+    body = Body(points.reshape(-1, 3), counts, indices, vertex_data=vertex, polygon_data=polygon, notes=tuple(notes))
+    return [body]
 
 
 def _bare_counts(data: bytes) -> re.Match[bytes] | None:

@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 
 __all__ = ["content_bytes", "read_mesh", "write_mesh"]
 
-# Of zlib: 2.5 times as fast as its usual 6, for files 3 to 6 % larger.
-_LEVEL = 4
 # Meters in the units that a file can name.
 _UNITS = {"micron": 1e-6, "millimeter": 1e-3, "centimeter": 1e-2, "inch": 0.0254, "foot": 0.3048, "meter": 1.0}
 # Resources that say how triangles look.
@@ -319,7 +317,8 @@ def write_mesh(path: Path, mesh: TriangleMesh) -> None:
     points = written_rows('<vertex x="{}" y="{}" z="{}"/>\n', vertices)
     faces = written_rows('<triangle v1="{}" v2="{}" v3="{}"/>\n', mesh.faces)
     tail = '</triangles>\n</mesh>\n</object>\n</resources>\n<build>\n<item objectid="1"/>\n</build>\n</model>\n'
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=_LEVEL) as archive:
+    # Level 4 is 2.5 times as fast as zlib's usual 6, for files 3 to 6 % larger.
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=4) as archive:
         archive.writestr("[Content_Types].xml", _TYPES)
         archive.writestr("_rels/.rels", _RELATIONS)
         parts = head.encode(), *points, b"</vertices>\n<triangles>\n", *faces, tail.encode()

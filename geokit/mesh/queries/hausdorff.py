@@ -34,7 +34,8 @@ class TrianglePieces(NamedTuple):
     cut: NDArray[np.float64]  # (P, 3), point on that edge where it is cut [world]
 
     def take(self, rows: NDArray[Any]) -> TrianglePieces:
-        return TrianglePieces(*(column[rows] for column in self))
+        chosen = np.flatnonzero(rows) if rows.dtype == bool else rows  # take() is several times faster than indexing
+        return TrianglePieces._make(column.take(chosen, axis=0) for column in self)
 
 
 class DistanceSearch:
@@ -85,9 +86,9 @@ class DistanceSearch:
             if len(pieces.upper) == 0:
                 return
             chosen = self._next_rows(pieces)
-            rest = np.ones(len(pieces.upper), bool)
-            rest[chosen] = False
-            pieces = joined_pieces([pieces.take(rest), self._halves(pieces.take(chosen))])
+            rest = np.delete(np.arange(len(pieces.upper)), chosen)
+            halves = self._halves(pieces.take(chosen))
+            pieces = joined_pieces([pieces.take(rest), halves]) if len(rest) else halves
 
     @property
     def upper(self) -> float:
