@@ -16,6 +16,7 @@ from geokit.core.interop.notebook import repr_html
 from geokit.core.interop.types import Devices, MeshLike
 from geokit.core.memory import available_memory
 from geokit.core.memory.needs import needs
+from geokit.core.memory.struct_array import handed_out
 from geokit.core.memory.unchecked import allocating
 from geokit.core.require import read_array
 from geokit.errors import DeviceMemoryError, InputError
@@ -24,8 +25,9 @@ from geokit.mesh.model.device_mesh import arrays_on
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.queries.distance import DistanceQueries
 from geokit.mesh.queries.rays import RayQueries
-from geokit.mesh.sign.queries import SignQueries
+from geokit.mesh.sign.queries import FAR, SignQueries
 from geokit.mesh.surfaces.objects import require_mesh
+from geokit.mesh.topology.size_limits import require_measurable
 
 if TYPE_CHECKING:
     import warp as wp
@@ -293,9 +295,24 @@ class Surface(SignQueries, RayQueries, DistanceQueries):
         Raises:
             InputError: There is no such sign, or the mesh is smaller than 1e-70 or larger than 1e70.
         """
-        from geokit.mesh.surfaces.on_kernel import on_kernel
+        import warp as wp
 
-        return on_kernel(self, sign)
+        from geokit.mesh.queries.gradients import sloped_faces
+        from geokit.mesh.surfaces import user_kernels as kernels
+
+        require_measurable(self.mesh, self._frame)
+        found: Any = kernels.Surface()
+        found.tree, found.faces = self._any_hit_tree, sloped_faces(self, sign is not None)
+        if sign is not None:
+            method, judge = self._method(sign), self._signs
+            if method == "parity":
+                raise InputError("sign: 'parity' casts rays through the whole mesh; use 'winding' in kernels")
+            found.is_trimmed, found.sign = judge is not self, kernels.BY_WINDING
+            found.judge, found.winding, found.empty = judge._winding_arguments_of_all()
+            if method == "pseudonormal":
+                found.sign, found.pseudonormals = kernels.BY_PSEUDONORMALS, judge._pseudonormals
+                found.outside = wp.float64(FAR * judge._frame.scale if judge.is_closed else np.inf)
+        return handed_out(found, self._device, self)
 
     @property
     def origin(self) -> np.ndarray:
