@@ -36,7 +36,7 @@ static constexpr auto greatest = [](v8 a) {
     return a[0];
 };
 static constexpr auto least = [](v8 a) { return -greatest(-a); };
-static constexpr bool ANY_HIT = UNORDERED && !CROSSINGS;
+static constexpr bool ONE_HIT = UNORDERED && !CROSSINGS;
 // The result of a ray so far.
 struct Found {
     double best, weight_b, weight_c;
@@ -222,7 +222,7 @@ static constexpr auto set_up = [](const SurfaceTree& tree, const Hull& hull, con
     group.first = first;
     group.waiting = left & mask_of(in <= out);
     group.sure = 0;
-    if (ANY_HIT) {
+    if (ONE_HIT) {
         const v8 end = (last - PLANE_MARGIN) * 0.999997f;
         for (int k = 0; k < tree.wide.shape[0] && (group.waiting & near); ++k) {
             const unsigned hits = group.waiting & near & surely_hit(tree, tree.wide.data[k], at, way, end);
@@ -260,7 +260,7 @@ static constexpr auto next_group = [](const SurfaceTree& tree, const Hull& hull,
         Found r{};
         const int lane = __builtin_ctz(passed);
         r.id = first + lane;
-        r.winner = ANY_HIT && (group.sure >> lane & 1) ? 0 : -1;  // any slot, where a hit is sure
+        r.winner = ONE_HIT && (group.sure >> lane & 1) ? 0 : -1;  // any slot, where a hit is sure
         finish(r);
     }
 };

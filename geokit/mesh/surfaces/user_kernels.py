@@ -61,11 +61,15 @@ class RayHit:
     barycentric: wp.vec3d
 
 
-@cpp.func_native("mesh/surfaces/user_rays.inl", SurfaceTree, **_RAYS, UNORDERED=False, CANDIDATES=CANDIDATES)
+_FIRST = {"UNORDERED": False, "ANY_HIT": False, "CANDIDATES": CANDIDATES}
+_ANY = {"UNORDERED": True, "ANY_HIT": True, "CANDIDATES": ANY_HIT_CANDIDATES}
+
+
+@cpp.func_native("mesh/surfaces/user_rays.inl", SurfaceTree, **_RAYS, **_FIRST)
 def cast_ray() -> wp.vec4d: ...
 
 
-@cpp.func_native("mesh/surfaces/user_rays.inl", SurfaceTree, **_RAYS, UNORDERED=True, CANDIDATES=ANY_HIT_CANDIDATES)
+@cpp.func_native("mesh/surfaces/user_rays.inl", SurfaceTree, **_RAYS, **_ANY)
 def test_ray() -> bool: ...
 
 

@@ -1,7 +1,6 @@
 // Rays that a kernel of the user's casts one by one, by the walks of the queries.
 #include "mesh/queries/raycast.inl"
 #if defined(__CUDA_ARCH__)
-constexpr bool ANY_HIT = UNORDERED;
 #include "mesh/bvh/ray_candidates_cuda.inl"
 #endif
 
