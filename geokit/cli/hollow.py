@@ -9,9 +9,10 @@ import numpy as np
 from cyclopts import CycloptsError
 
 from geokit.cli._kinds import Device, called, may_write, require_kind
-from geokit.cli._program.console import announce_compiling, step
+from geokit.cli._program.console import announce_compiling, note, step
 from geokit.cli._program.lengths import AnyLength, FromUnit, Places, length_in, lengths_in, unit_of
 from geokit.cli._results import DEFAULTS, Changed, Common, Source, deliver_mesh, spread
+from geokit.core.memory.available_memory import require_room
 from geokit.errors import InputError
 
 if TYPE_CHECKING:
@@ -23,6 +24,9 @@ __all__ = ["hollow"]
 VOXELS_IN_WALL = 5
 # From a corner of a box the cavity is the square root of 3 walls away; beyond twice the wall the part is solid.
 MOST_WALLS = 2.0
+# Memory for each face of the result, with the bands around it. Faces from which their number is said first.
+BYTES_PER_FACE = 330
+MANY_FACES = 1_000_000
 
 
 def hollow(
@@ -71,6 +75,16 @@ def hollow(
     sizes = lengths_in(meters, wall=wall, voxel_size=voxel_size, drain_radius=drain_radius)
     thick, radius = sizes["wall"], sizes.get("drain_radius", 0.0)
     voxel = sizes.get("voxel_size", thick / VOXELS_IN_WALL)
+    # Each edge of a voxel that a surface crosses makes two faces, and there are two surfaces.
+    a, b, c = part.vertices[part.faces].swapaxes(0, 1)
+    count = 2.0 * float(np.abs(np.cross(b - a, c - a)).sum()) / voxel**2
+    size = f"{thick:g} in voxels of {voxel:g} makes about {count:,.0f} faces"
+    fitting = "give --wall {:.2g} or more, or --voxel-size {:.2g} or more".format
+    # The number of faces goes with the square of the voxels.
+    more = 1.05 * np.array([thick, voxel])
+    require_room(BYTES_PER_FACE * count, f"--wall: {size}, which need", lambda times: fitting(*(times**0.5 * more)))
+    if count > MANY_FACES and not common.json:
+        note(f"a wall of {size}; larger voxels (--voxel-size) make fewer")
     with step("hollowing", quiet=common.json):
         surface = mesh.Surface(part, device=device)
         solid = volume.from_mesh(surface, voxel)

@@ -19,6 +19,7 @@ def wrap(
     *,
     tolerance: AnyLength,
     gap: AnyLength | None = None,
+    offset: AnyLength | None = None,
     cavities: Flag = False,
     from_unit: FromUnit = None,
     common: Asking = ASKING,
@@ -32,6 +33,7 @@ def wrap(
         source: A mesh or a point cloud.
         tolerance: Largest distance of the wrap from the input, but where gaps are closed.
         gap: Largest width of holes to close in the walls of bodies; by default none.
+        offset: How far the input is grown first: it lies this deep inside at least; by default not at all.
         cavities: Keep the walls of cavities, which are left out otherwise.
     """
     from geokit import mesh
@@ -48,8 +50,8 @@ def wrap(
             found = mesh.TriangleMesh(points, np.repeat(np.arange(len(points))[:, None], 3, axis=1))
         found = mesh.convert_unit(found, from_unit=from_unit)
     meters = found.meters_per_unit
-    how = lengths_in(meters, tolerance=tolerance, gap=gap)
-    with step("wrapping", quiet=common.json), called(("^mesh(?=:)", source), ("^tolerance(?=:)", "--tolerance")):
+    how = lengths_in(meters, tolerance=tolerance, gap=gap, offset=offset)
+    with step("wrapping", quiet=common.json), called(("^mesh(?=:)", source), ("^(?=(tolerance|offset):)", "--")):
         made = mesh.wrap(found, **how, cavities=cavities, device=common.device)
     facts = made._asdict() | {"bridges": int(made.bridges.sum())}
     deliver_mesh(facts.pop("mesh"), target, common, **unit_of(meters), **facts)

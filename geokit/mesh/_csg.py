@@ -152,15 +152,10 @@ def _combined(verb: Verb, meshes: list[TriangleMesh], world: dict[str, Any]) -> 
     joined = _joined(meshes, world)
     begins = [0, *accumulate(mesh.face_count for mesh in meshes)]
     nothing = derived(with_data(joined, vertex_data={}), np.zeros((0, 3)), joined.faces[:0], face_source=np.arange(0))
-    first = meshes[0]
-    asked = [0]
-    for number, other in enumerate(meshes[1:], 1):
-        meets = other.face_count > 0 and first.face_count > 0 and _boxes_meet(first, other)
-        if not meets and verb == "Intersect":
-            return nothing
-        if meets:
-            asked.append(number)
-    if not first.face_count:
+    low, high = np.stack([mesh.bounds for mesh in meshes], axis=1)
+    # Without faces these are NaN, which meets none.
+    asked = np.flatnonzero(((low[0] <= high) & (low <= high[0])).all(axis=1))
+    if 0 not in asked or (verb == "Intersect" and len(asked) < len(meshes)):
         return nothing
     names = ["mesh", *(f"others[{number}]" for number in range(len(meshes) - 1))]
     operands = [read_operand(Surface(meshes[at], device="cpu"), names[at], begins[at]) for at in asked]
@@ -170,10 +165,6 @@ def _combined(verb: Verb, meshes: list[TriangleMesh], world: dict[str, Any]) -> 
     order = np.argsort(pieces.source, kind="stable")
     plain = with_data(joined, vertex_data={}, corner_data={})
     return derived(plain, pieces.vertices, pieces.faces[order], face_source=pieces.source[order])
-
-
-def _boxes_meet(one: TriangleMesh, other: TriangleMesh) -> bool:
-    return bool(((one.bounds[0] <= other.bounds[1]) & (other.bounds[0] <= one.bounds[1])).all())
 
 
 def _read(verb: str, mesh: MeshLike, others: tuple[MeshLike, ...]) -> tuple[list[TriangleMesh], dict[str, Any]]:

@@ -167,15 +167,17 @@ def simplify(
     else:
         assert tolerance is not None
         found = within_tolerance(mesh, tolerance, target, progress)
-    if found.mesh is mesh or not (mesh.vertex_data or mesh.face_data or mesh.corner_data or mesh.materials):
-        return found
-    return _Unmeasured(_with_attributes(found.mesh, mesh, device), lambda: found[1:])
+    made = with_attributes(found.mesh, mesh, device)
+    return found if made is found.mesh else _Unmeasured(made, lambda: found[1:])
 
 
-def _with_attributes(simple: TriangleMesh, mesh: TriangleMesh, device: Any) -> TriangleMesh:
+def with_attributes(simple: TriangleMesh, mesh: TriangleMesh, device: Any) -> TriangleMesh:
+    """A mesh that was made of another one with the attributes of that, as of :func:`transfer_attributes`."""
     from geokit.mesh._repair import merge_vertices
     from geokit.mesh._transfer import transfer_attributes
 
+    if simple is mesh or not (mesh.vertex_data or mesh.face_data or mesh.corner_data or mesh.materials):
+        return simple
     simple = with_data(simple, materials=mesh.materials)
     # The sides of a seam come to the corners where its vertices are one.
     return transfer_attributes(simple, merge_vertices(mesh), device=device)

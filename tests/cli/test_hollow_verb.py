@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 import geokit as gk
 from geokit import native
+from geokit.core.memory.available_memory import available_host
 from tests.support.assemblies import star
 
 pytestmark = pytest.mark.skipif(not native.available(), reason="geokit was built without OpenVDB")
@@ -69,6 +71,25 @@ def test_lengths_have_units(geokit, tmp_path: Path) -> None:
     assert made.meters_per_unit == 1.0
     inner = 0.006 * 0.016 * 0.026
     assert made.volume == pytest.approx(0.01 * 0.02 * 0.03 - inner - np.pi * 0.001**2 * 0.002, rel=0.01)
+
+
+def test_the_size_is_told_before_it_begins(geokit, fails, ball: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    target = ball.with_name("hollow.ply")
+    monkeypatch.setattr("geokit.cli.hollow.MANY_FACES", 10_000)
+    done = geokit("hollow", ball, target, "--wall", "2")
+    told = re.search(r"a wall of 2 in voxels of 0.4 makes about ([\d,]+) faces; larger voxels", done.stderr)
+    assert told, done.stderr
+    # The inner surface is smaller than the outer one.
+    assert 0.7 < gk.mesh.load(target).face_count / int(told[1].replace(",", "")) < 1.0
+    assert "makes about" not in geokit("hollow", ball, target, "--wall", "2", "--json", "--force").stderr
+    target.unlink()
+    done = geokit("hollow", ball, target, "--wall", "1e-6")
+    fails(done, 1, "--wall: 1e-06 in voxels of 2e-07 makes about", "MiB free; give --wall 0.0", ", or --voxel-size 0.0")
+    wall = re.search(r"give --wall ([\d.e-]+) or more", done.stderr)
+    assert wall
+    assert 330.0 * 12.0 * np.pi * 10.0**2 / (float(wall[1]) / 5.0) ** 2 < available_host()
+    fails(geokit("hollow", ball, target, "--wall", f"{0.7 * float(wall[1]):g}"), 1, "--wall: ", "or more")
+    assert not target.exists()
 
 
 @pytest.mark.parametrize("turned", [1, -1])

@@ -21,9 +21,10 @@ def bowl(tmp_path: Path) -> Path:
 
 def test_the_wrap_is_that_of_the_library(geokit, bowl: Path) -> None:
     target = bowl.with_name("solid.ply")
-    done = geokit("wrap", bowl, target, "--tolerance", "0.2", "--gap", "0.1", "--device", "cpu", "--json")
+    lengths = ("--tolerance", "0.2", "--gap", "0.1", "--offset", "0.05")
+    done = geokit("wrap", bowl, target, *lengths, "--device", "cpu", "--json")
     assert done.returncode == 0, done.stderr
-    expected = gk.mesh.wrap(gk.mesh.load(bowl), tolerance=0.2, gap=0.1, device="cpu")
+    expected = gk.mesh.wrap(gk.mesh.load(bowl), tolerance=0.2, gap=0.1, offset=0.05, device="cpu")
     assert json.loads(done.stdout) == {
         "target": str(target),
         "vertices": expected.mesh.vertex_count,
@@ -43,14 +44,15 @@ def test_a_cloud_and_a_unit(geokit, tmp_path: Path) -> None:
     points = gk.points.sample(gk.mesh.sphere(0.02), 400).points
     gk.points.save(tmp_path / "cloud.csv", points)
     words = ("wrap", tmp_path / "cloud.csv", tmp_path / "skin.3mf", "--tolerance", "8mm", "--from-unit", "m")
-    done = geokit(*words)
+    done = geokit(*words, "--offset", "5mm")
     assert done.returncode == 0, done.stderr
     made = gk.mesh.load(tmp_path / "skin.3mf")
     assert made.meters_per_unit == 1.0
     assert gk.mesh.Surface(made).contains(points).all()
     assert "unit m, deviation 0.00" in done.stdout
     found = gk.mesh.Surface(gk.mesh.TriangleMesh(points, np.arange(400)[:, None].repeat(3, axis=1)))
-    assert found.closest_point(made.vertices).distance.max() <= 0.008
+    distance = found.closest_point(made.vertices).distance
+    assert 0.005 <= distance.min() <= distance.max() <= 0.013
 
 
 def test_errors_name_files_and_options(geokit, fails, bowl: Path, tmp_path: Path) -> None:
@@ -61,6 +63,10 @@ def test_errors_name_files_and_options(geokit, fails, bowl: Path, tmp_path: Path
     fails(geokit("wrap", bowl, target, "--tolerance=1", "--from-unit=ell"), 1, "--from-unit: 'ell' is no known unit")
     fails(geokit("wrap", bowl, target, "--tolerance", "0"), 2, "--tolerance: '0' is no length")
     fails(geokit("wrap", bowl, target, "--tolerance", "1", "--gap=-1"), 2, "--gap: '-1' is no length")
+    fails(geokit("wrap", bowl, target, "--tolerance", "1", "--offset", "0"), 2, "--offset: '0' is no length")
+    fails(
+        geokit("wrap", bowl, target, "--tolerance", "1", "--offset", "1e6"), 1, "--offset: 1e+06 is over 250000 sizes"
+    )
     fails(geokit("wrap", bowl, target, "--tolerance", "1", "--columns", "a,b,c"), 1, "--columns: has no effect")
     (tmp_path / "none.obj").write_text("v 0 0 0\n")
     fails(geokit("wrap", tmp_path / "none.obj", target, "--tolerance", "1"), 1, "none.obj")

@@ -138,10 +138,7 @@ class MeshSetup:
 
 def area_samples(mesh: TriangleMesh, count: int, rng: np.random.Generator) -> tuple[Floats, NDArray[np.int64]]:
     """Points (N, 3) uniform by area, and their faces (N,)."""
-    a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    ends = np.cumsum(area)
-    face = np.minimum(np.searchsorted(ends, rng.random(count) * ends[-1], side="right"), len(ends) - 1)
-    u, v = rng.random((2, count, 1))
-    u, v = np.where(u + v > 1.0, 1.0 - u, u), np.where(u + v > 1.0, 1.0 - v, v)
-    return a[face] + u * (b - a)[face] + v * (c - a)[face], face
+    from geokit.mesh._sample_surface import sample_surface
+
+    found = sample_surface(mesh, count, seed=int(rng.integers(1 << 62)))
+    return found.points, found.triangle_id.astype(np.int64)

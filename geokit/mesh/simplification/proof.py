@@ -74,17 +74,18 @@ class Proof:
         return wrong
 
 
-def far_faces(mesh: TriangleMesh, surface: Surface, limit: float) -> NDArray[np.float64]:
+def far_faces(mesh: TriangleMesh, surface: Surface, limit: float, slack: float | None = None) -> NDArray[np.float64]:
     """A point of each face that is farther than the limit from a surface (F, 3); NaN for faces that have none.
 
-    NaN is proven for all points of the triangle. A point is certain, except for distances less than 1% below the limit.
+    NaN is proven for all points of the triangle. A point is certain, except for distances within the slack below it.
 
     Args:
         mesh: The mesh.
         surface: What distances are measured from.
         limit: Distance [world], above 0.
+        slack: None for 1% of that.
     """
-    search = _FarFaces(surface, limit, mesh.face_count)
+    search = _FarFaces(surface, limit, SLACK * limit if slack is None else slack, mesh.face_count)
     search.run(mesh, *search.measure_vertices(mesh))
     return search.point_of
 
@@ -92,9 +93,9 @@ def far_faces(mesh: TriangleMesh, surface: Surface, limit: float) -> NDArray[np.
 class _FarFaces(DistanceSearch):
     """A search that drops pieces within the limit, and all pieces of faces that have a point beyond it."""
 
-    def __init__(self, target: Surface, limit: float, face_count: int) -> None:
-        super().__init__(target, SLACK * limit, 0.0)
-        self.lower, self._limit = (1.0 - SLACK) * limit, limit
+    def __init__(self, target: Surface, limit: float, slack: float, face_count: int) -> None:
+        super().__init__(target, slack, 0.0)
+        self.lower, self._limit = limit - slack, limit
         self.point_of = np.full((face_count, 3), np.nan)
 
     def measure(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int32]]:

@@ -47,11 +47,7 @@ class Boundary(NamedTuple):
 
 
 def boundary_of(surface: Surface) -> Boundary:
-    """The boundary of what a surface's mesh encloses.
-
-    Raises:
-        MissingDependencyError: Bodies are to be united, and manifold3d is not installed.
-    """
+    """The boundary of what a surface's mesh encloses."""
     from geokit.mesh.sign.left_out import left_out_faces
 
     given: Any = surface._counted

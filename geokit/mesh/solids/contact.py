@@ -31,14 +31,11 @@ def within_contact(
     near: Callable[[float], bool],
     sign: float = 1.0,
 ) -> tuple[Pieces | None, str]:
-    """What bodies make together, and why it is not right, "" if it is; None if nothing is.
+    """What bodies ``make`` together, and why it is not right by the ``verdict``, "" if it is; None if nothing is.
 
     Args:
-        make: Makes it of bodies with their vertices at these positions.
-        verdict: What :func:`verdict_of` says of it, where vertices have moved so far [world].
         positions: Vertices of all bodies, of which no two share one [world] (V, 3).
         corners: Corners of the faces of those bodies that may move (F, 3).
-        size: Size of all bodies [world].
         near: Whether faces of two bodies may face each other so far apart [world]. If not, there is most likely nothing
             to join; the verdict decides.
         sign: 1 where they grow, -1 where they shrink.

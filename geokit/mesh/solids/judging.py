@@ -36,15 +36,8 @@ def verdict_of(
     pieces: Pieces,
     inflation: float,
 ) -> str:
-    """Nothing if pieces bound what is inside, "walls" if some have it on both sides, or "wrong".
-
-    Args:
-        given: Faces of the bodies.
-        inside: Whether points are inside of what was asked for.
-        make_surface: Makes a surface of a mesh.
-        size: Size of the bodies [world].
-        pieces: What was made of the bodies.
-        inflation: How far bodies were moved [world].
+    """Nothing if pieces, of ``given`` faces of bodies that were moved by ``inflation`` [world], bound what is inside,
+    "walls" if some have it on both sides, or "wrong".
     """
     off = CONTACT * size
     corners, area, normals, _ = checkable(pieces.vertices, pieces.faces, off)
@@ -87,11 +80,8 @@ def self_overlap(mesh: TriangleMesh, judge: Any, off: float, rows: NDArray[np.in
     # Whichever way the faces are wound.
     inside = (judge.winding_number(points + step) > 0.5) & (judge.winding_number(points - step) > 0.5)
     share = np.count_nonzero(inside) / SAMPLES
-    return (
-        f"{share:.1%} of the surface of bodies lies inside of themselves, or of others that are not closed"
-        if share > OVERLAP_SHARE
-        else ""
-    )
+    told = f"{share:.1%} of the surface of bodies lies inside of themselves, or of others that are not closed"
+    return told if share > OVERLAP_SHARE else ""
 
 
 def checkable(

@@ -53,18 +53,12 @@ def as_counted(surface: Any) -> tuple[TriangleMesh, NDArray[np.int64]]:
         return mesh, source
     faces = np.where(flipped[:, None], mesh.faces[source, ::-1], mesh.faces[source])
     used, faces = used_vertices(faces, mesh.vertex_count)
-    turned = derived(
-        mesh, mesh.vertices[used], faces, vertex_source=used, face_source=source, reversed_faces=flipped
-    )  # fmt: skip
-    return turned, source
+    sources: Any = {"vertex_source": used, "face_source": source, "reversed_faces": flipped}
+    return derived(mesh, mesh.vertices[used], faces, **sources), source
 
 
 def read_operand(surface: Surface, name: str, begin: int) -> Operand:
-    """What a surface's mesh encloses; its faces are numbered from ``begin`` on.
-
-    Raises:
-        InputError: The mesh is open, or crosses itself; the message begins with ``name``.
-    """
+    """What a surface's mesh encloses; its faces are numbered from ``begin`` on, errors begin with ``name``."""
     boundary = boundary_of(surface)
     if boundary.kept:
         raise InputError(
@@ -86,13 +80,7 @@ def read_operand(surface: Surface, name: str, begin: int) -> Operand:
 
 
 def made_of(operands: Sequence[Operand], verb: Verb) -> Pieces:
-    """The boundary of what operands are together.
-
-    Raises:
-        InputError: It cannot be made.
-        MissingDependencyError: manifold3d is not installed.
-        DeviceMemoryError: There is not enough memory for it.
-    """
+    """The boundary of what operands are together; an InputError if that cannot be made."""
     surfaces, solids = zip(*operands, strict=True)
     given = together(solids)
     size = float(np.ptp(given.vertices, axis=0).max())

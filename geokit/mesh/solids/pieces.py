@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from geokit._packages import require_package
 from geokit.core.memory.needs import require_free
 from geokit.mesh.attributes.derived import used_vertices
+from geokit.mesh.model.triangle_mesh import TriangleMesh
+from geokit.mesh.topology.normals import vertex_normals
 
 __all__ = ["Pieces", "Verb", "boxes_that_meet", "combined", "inflated", "pieces_of", "together"]
 
@@ -76,10 +78,6 @@ def combined(solids: Sequence[Pieces], verb: Verb) -> Pieces | None:
     """The boundary of what solids are together, of which none may cross itself; None where manifold3d refuses one.
 
     A solid is a closed body and its cavities, or several that do not overlap, of which no two share a vertex.
-
-    Raises:
-        MissingDependencyError: manifold3d is not installed.
-        DeviceMemoryError: There is not enough memory for it.
     """
     manifold: Any = require_package("manifold3d")
     # It does not check what it allocates.
@@ -101,22 +99,7 @@ def combined(solids: Sequence[Pieces], verb: Verb) -> Pieces | None:
 
 
 def inflated(positions: NDArray[np.float64], corners: NDArray[Any], by: float) -> NDArray[np.float64]:
-    """The vertices of bodies, moved away from the inside [world] (V, 3): along the mean normal of their faces, weighted
-    by angle.
-
-    Args:
-        positions: Vertices of the bodies [world] (V, 3).
-        corners: Corners of the faces whose vertices move (F, 3).
-        by: How far they move [world]; inward if it is negative.
+    """The vertices of bodies (V, 3), moved outward by so much [world], inward if it is negative: along the mean normal
+    of those faces (F, 3) whose vertices move, weighted by angle.
     """
-    # Not mesh.topology.normals: there, bodies that touch would share the normals of a corner.
-    places = positions[corners]
-    edges = np.roll(places, -1, axis=1) - places
-    edges /= np.maximum(np.linalg.norm(edges, axis=2, keepdims=True), np.finfo(float).tiny)
-    normals = np.cross(edges[:, 0], edges[:, 1])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
-    angles = np.arccos(np.clip(-(edges * np.roll(edges, 1, axis=1)).sum(axis=2), -1.0, 1.0))
-    outward = np.zeros_like(positions)
-    for corner in range(3):
-        np.add.at(outward, corners[:, corner], angles[:, corner, None] * normals)
-    return positions + by * outward / np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), np.finfo(float).tiny)
+    return positions + by * vertex_normals(TriangleMesh(positions, corners), apart=True)

@@ -38,18 +38,9 @@ SHORTEST = 16.0
 
 
 def trimmed(surface: Surface, length: float) -> tuple[TriangleMesh, NDArray[np.int64]] | None:
-    """The mesh of a closed surface without what lies inside of the solid.
-
-    Args:
-        surface: The surface.
-        length: Longest edge of a piece that crosses others [world].
-
-    Returns:
-        The mesh and the row of the face in which each of its faces lies (F,), ascending; None if winding numbers are
-        not whole, or too many pieces would be needed.
-
-    Raises:
-        DeviceMemoryError: There is not enough memory.
+    """The mesh of a closed surface without what lies inside of the solid, and the row of the face in which each of its
+    faces lies (F,), ascending; None if winding numbers are not whole, or too many pieces would be needed. Pieces that
+    cross others have no edge beyond ``length`` [world].
     """
     mesh = surface.mesh
     off = CONTACT * float((mesh.bounds[1] - mesh.bounds[0]).max())

@@ -19,17 +19,17 @@ def face_normals(mesh: TriangleMesh) -> NDArray[np.float64]:
     return unit(cross(ab, ac))
 
 
-def vertex_normals(mesh: TriangleMesh) -> NDArray[np.float64]:
+def vertex_normals(mesh: TriangleMesh, *, apart: bool = False) -> NDArray[np.float64]:
     """Unit normals of the vertices, (V, 3): those of the faces weighted by their angles there; zero without faces.
 
-    Vertices at one position have one normal.
+    Vertices at one position have one normal, but for those of bodies that touch, if they are to be kept ``apart``.
 
     Source:
         Thürmer and Wüthrich, "Computing vertex normals from polygonal facets" (1998).
     """
     bc, ab, ac = _edges(mesh)
     normals = unit(cross(ab, ac))
-    corners, count = position_corners(mesh)
+    corners, count = (mesh.faces, mesh.vertex_count) if apart else position_corners(mesh)
     # The angle at each corner between the two edges that leave it.
     leaving = ((ab, ac), (bc, -ab), (-ac, -bc))
     angles = [np.arctan2(np.linalg.norm(cross(p, q), axis=1), np.einsum("ij,ij->i", p, q)) for p, q in leaving]

@@ -19,16 +19,19 @@ from geokit.core.interop.user_arrays import FROM_ZERO, require_finite_scalar
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_flag
 from geokit.errors import DeviceMemoryError, InputError
+from geokit.mesh._simplify import with_attributes
 from geokit.mesh.attributes.derived import used_vertices
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.queries.hausdorff import DistanceSearch
 from geokit.mesh.simplification.collapse import collapsed
+from geokit.mesh.simplification.proof import far_faces
 from geokit.mesh.surfaces.objects import require_mesh
 from geokit.mesh.surfaces.surface import Surface
 from geokit.mesh.topology.audit import audit_topology, face_parts
 from geokit.mesh.topology.connectivity import mesh_topology
 from geokit.mesh.topology.orientation import enclosing_pairs
 from geokit.mesh.volumes.from_volume import from_volume
+from geokit.volume.band.fields import THICKEST
 
 __all__ = ["Wrapped", "wrap"]
 
@@ -36,19 +39,22 @@ __all__ = ["Wrapped", "wrap"]
 # is nearer to some voxels around each of its points than their half diagonal, 0.87, so none slips between them. The two
 # differ, so that planes on the lattice do not put the isosurface on voxels.
 LEVEL, VOXEL = 0.47, 0.5
-# Where nothing can be proven, the same is tried with both so much smaller, so many times.
-SMALLER, LATTICES = 0.7, 4
+# Where nothing can be proven, the same is tried nearer to it by the first, with voxels smaller by its square, so many
+# times: what is left around a lone point when a gap has been closed may have slipped between voxels of the first size.
+SMALLER, LATTICES = 0.85, 4
 # Faces are merged within these shares of the level, each time from what the last one left and to no less than a part of
 # it: so no face has many points to look at. Where faces cross, those that they were stay as they are, so many times.
-SHARES = (0.1, 0.1, 0.3, 0.9)
+SHARES = (0.1, 0.1, 0.3, 0.9, 0.9)
 PART = 12
-TRIALS = 8
+TRIALS = 24
 # Vertices this many times the distance from a face that crosses others stay.
 AROUND = 1.5
+# Lengths that are asked for, in sizes of the mesh: beyond, float32 does not see the mesh.
+LARGEST = THICKEST / 4.0
 # Roundings of coordinates that a tolerance has at least: with fewer, vertices of the isosurface fall on each other.
 ROUNDINGS = 2.0**14
-# Width of the bound of the deviation, as a share of the tolerance.
-BOUND_SHARE = 0.02
+# Shares of the tolerance: the width of the bound of the deviation, and how far the isosurface is but at closed gaps.
+BOUND_SHARE, NEAR = 0.02, 0.75
 
 
 class Wrapped(NamedTuple):
@@ -56,8 +62,8 @@ class Wrapped(NamedTuple):
 
     Attributes:
         mesh: The wrap: closed, manifold, oriented, without self-intersections; faces outward.
-        deviation: No point of the wrap is farther from the input [world].
-        bridges: Whether a corner of a face is farther from the input than the tolerance (F,): there a gap was closed.
+        deviation: No point of the wrap is farther from the input, or from what it is grown to [world].
+        bridges: Whether a corner of a face is farther from that than the tolerance (F,): there a gap was closed.
         component_count: Pieces of the wrap, with cavities where they are kept.
         genus: Handles of all pieces together.
         cavity_count: Pieces of surface inside of others that were left out.
@@ -73,7 +79,13 @@ class Wrapped(NamedTuple):
 
 @needs()
 def wrap(
-    mesh: MeshLike, *, tolerance: float, gap: float = 0.0, cavities: bool = False, device: Device = None
+    mesh: MeshLike,
+    *,
+    tolerance: float,
+    gap: float = 0.0,
+    offset: float = 0.0,
+    cavities: bool = False,
+    device: Device = None,
 ) -> Wrapped:
     """A closed solid around anything: a body with holes, a soup of triangles, sheets, or points.
 
@@ -89,6 +101,11 @@ def wrap(
     with a hole is closed from both sides of its wall. What cannot be reached from outside is left out, unless
     ``cavities`` are asked for.
 
+    With an ``offset`` the wrap is that of the input grown by it, which holds all points no farther from it. Every point
+    of the wrap is at least ``offset`` from the input, to 1e-12 of the size, and no farther than ``offset +
+    tolerance``, or ``gap`` more where one was closed; ``deviation`` is that from the grown input. Holes narrower than
+    twice the offset are closed by it. Attributes are those of :func:`geokit.mesh.transfer_attributes`.
+
     Time and memory go with the area over the square of the tolerance; with a hundredth of the size it takes seconds.
     Faces are merged on the CPU. More of them are left where sheets are nearer to each other than the tolerance.
 
@@ -96,14 +113,15 @@ def wrap(
         mesh: Anything with faces. A face may be a point: rows (i, i, i) wrap a cloud.
         tolerance: Largest distance of the wrap from the input [world].
         gap: Largest width of holes to close in the walls of bodies [world]; beyond the diagonal it counts as that.
+        offset: How far the input is grown first [world].
         cavities: Whether to keep the walls of cavities.
         device: Where distances are measured; None for the first GPU, else the CPU.
     Returns:
         Wrapped with mesh, deviation [world], bridges (F,), component_count, genus, cavity_count.
     Raises:
-        InputError: mesh is no mesh or has no faces; tolerance is not a positive finite number, gap is negative or not
-            finite, cavities is no flag, there is no such device, the mesh is so far from the origin that the tolerance
-            is rounded away, or nothing could be proven within it.
+        InputError: mesh is no mesh or has no faces; tolerance is not a positive finite number, gap or offset is
+            negative or not finite, cavities is no flag, there is no such device, the mesh is so far from the origin, or
+            grown so far, that the tolerance is rounded away, or nothing could be proven within it.
         DeviceMemoryError: There is not enough memory for voxels of this size.
     Source:
         Lorensen and Cline (1987) for the isosurface; Garland and Heckbert (1997) for the collapse. The aim is that of
@@ -117,43 +135,51 @@ def wrap(
     given = require_mesh(mesh, "mesh")
     tolerance = require_finite_scalar(tolerance, "tolerance", low=0.0)
     gap = require_finite_scalar(gap, "gap", low=FROM_ZERO)
+    offset = require_finite_scalar(offset, "offset", low=FROM_ZERO)
     require_flag(cavities, "cavities")
     if not given.face_count:
         raise InputError(
             f"mesh: {given.name or 'it'} has no faces; there is nothing to wrap (of points, give faces (i, i, i))"
         )
-    if (least := float(np.spacing(np.abs(given.bounds).max())) * ROUNDINGS) > tolerance:
+    if (least := float(np.spacing(np.abs(given.bounds).max() + offset)) * ROUNDINGS) > tolerance:
         raise InputError(f"tolerance: {tolerance:g} is too small this far from 0; move the mesh, or give {least:g}")
+    longest = float(np.ptp(given.bounds, axis=0).max())
+    for name, length in (("tolerance", tolerance), ("offset", offset)):
+        if length > LARGEST * longest > 0.0:
+            raise InputError(
+                f"{name}: {length:g} is over {LARGEST:g} sizes of the mesh, {longest:g}; give one in its unit"
+            )
     # Lengths in a power of two near the tolerance, which rounds nothing: voxels of any size fit into float32.
     unit = int(np.frexp(tolerance)[1])
     gap = min(gap, float(np.hypot.reduce(np.ptp(given.bounds, axis=0))))
-    tolerance, gap = (float(np.ldexp(length, -unit)) for length in (tolerance, gap))
+    tolerance, gap, offset = (float(np.ldexp(length, -unit)) for length in (tolerance, gap, offset))
     source = Surface((np.ldexp(given.vertices, -unit), given.faces), device=launcher.resolve_device(device))
     found: Wrapped | str = ""
     for lattice in range(LATTICES):
-        level, voxel = (share * tolerance * SMALLER**lattice for share in (LEVEL, VOXEL))
+        level, voxel = LEVEL * tolerance * SMALLER**lattice, VOXEL * tolerance * SMALLER ** (2 * lattice)
         try:
-            full, removed = _around(source, level, voxel, gap, cavities)
+            full, removed = _around(source, offset + level, voxel, gap, cavities)
         except DeviceMemoryError as error:
             told = f"voxels for {np.ldexp(tolerance, unit):g} need about {error.need >> 20} MiB, more than there is"
             raise DeviceMemoryError(f"tolerance: {told}; give a larger tolerance", need=error.need) from error
-        for one in reversed([full, *_merged(full, source, level)]):
-            found = _proven(one, source, tolerance, gap)
+        for one in reversed([full, *_merged(full, source, offset, level, tolerance)]):
+            found = _proven(one, source, offset, tolerance, gap)
             if isinstance(found, Wrapped):
                 said: Any = {key: getattr(given, key) for key in ("name", "meters_per_unit", "up_axis")}
                 made = TriangleMesh(np.ldexp(found.mesh.vertices, unit), found.mesh.faces, **said)
+                made = with_attributes(made, given, device)
                 return found._replace(mesh=made, deviation=float(np.ldexp(found.deviation, unit)), cavity_count=removed)
     raise InputError(
         f"tolerance: no wrap of {given.name or 'the mesh'} could be proven within it: {found}; give a larger tolerance"
     )
 
 
-def _around(source: Surface, level: float, voxel: float, gap: float, cavities: bool) -> tuple[TriangleMesh, int]:
+def _around(source: Surface, distance: float, voxel: float, gap: float, cavities: bool) -> tuple[TriangleMesh, int]:
     """The surface at a distance from the input without what it encloses, and the number of pieces left out."""
     from geokit.volume.distance_fields.from_mesh import from_mesh
 
     extract = partial(from_volume, method="marching_cubes", device=source.device)
-    far = level + 0.5 * gap
+    far = distance + 0.5 * gap
     made, removed = _outer(extract(from_mesh(source, voxel, thickness=2.0 * far, half_width=1.5)), cavities)
     if gap and made.face_count:
         # What is nearer than half a gap to the outside goes again; what was closed by then stays.
@@ -178,18 +204,24 @@ def _outer(mesh: TriangleMesh, cavities: bool) -> tuple[TriangleMesh, int]:
     return TriangleMesh(mesh.vertices[used], faces), int(held.sum())
 
 
-def _merged(mesh: TriangleMesh, source: Surface, level: float) -> list[TriangleMesh]:
-    """The mesh with ever fewer faces, as long as they neither cross each other nor the input."""
+def _merged(mesh: TriangleMesh, source: Surface, offset: float, level: float, tolerance: float) -> list[TriangleMesh]:
+    """The mesh with ever fewer faces, as long as they neither cross each other nor the grown input, nor are too far."""
     made: list[TriangleMesh] = []
+    full = Surface(mesh, device=source.device)
     for share in SHARES:
         fixed = np.zeros(mesh.vertex_count, bool)
         for _ in range(TRIALS):
             found = _collapsed(mesh, share * level, fixed)
-            wrong = _wrong(found, source)
+            wrong = _wrong(found, source, offset)
+            if not wrong.any():
+                wrong = _far(found, full, source, offset, tolerance)
             if not wrong.any():
                 break
             there = Surface(TriangleMesh(found.vertices, found.faces[wrong]), device="cpu")
-            fixed |= there.closest_point(mesh.vertices).distance <= AROUND * share * level
+            near = there.closest_point(mesh.vertices).distance <= AROUND * share * level
+            if fixed[near].all():  # it was so before
+                return made
+            fixed |= near
         else:
             return made
         made.append(found)
@@ -205,30 +237,46 @@ def _collapsed(mesh: TriangleMesh, distance: float, fixed: NDArray[np.bool_]) ->
     return TriangleMesh(found.vertices * frame.scale + frame.origin, found.faces)
 
 
-def _wrong(found: TriangleMesh, source: Surface) -> NDArray[np.bool_]:
-    """Whether each face crosses others or the input, or has some of the input next to it that lies outside."""
+def _wrong(found: TriangleMesh, source: Surface, offset: float) -> NDArray[np.bool_]:
+    """Whether each face crosses others or the grown input, or has some of the input next to it that lies outside."""
     surface = Surface(found, device=source.device)
     wrong = np.zeros(found.face_count, bool)
     wrong[surface.self_intersections()] = True
-    wrong[surface.intersecting_triangles(source)[:, 0]] = True
+    if not offset:
+        wrong[surface.intersecting_triangles(source)[:, 0]] = True
+    elif (nearest := surface.distance(source)).distance < offset:
+        # Besides the nearest face all that are seen to lack about as much.
+        wrong[nearest.triangle_id] = True
+        middle = source.closest_point(found.vertices[found.faces].mean(axis=1)).distance
+        wrong |= middle < 2.0 * offset - nearest.distance
     if not wrong.any():
         points = source.mesh.vertices[used_vertices(source.mesh.faces, source.mesh.vertex_count)[0]]
         wrong[surface.closest_point(points[~surface.contains(points)]).triangle_id] = True
     return wrong
 
 
-def _proven(found: TriangleMesh, source: Surface, tolerance: float, gap: float) -> Wrapped | str:
+def _far(found: TriangleMesh, full: Surface, source: Surface, offset: float, tolerance: float) -> NDArray[np.bool_]:
+    """Whether each face is too far from the input, though no gap is closed there: the full surface is near."""
+    place = far_faces(found, source, offset + (1.0 - BOUND_SHARE) * tolerance, BOUND_SHARE * tolerance)
+    far = ~np.isnan(place[:, 0])
+    far[far] = source.closest_point(full.closest_point(place[far]).points).distance <= offset + NEAR * tolerance
+    return far
+
+
+def _proven(found: TriangleMesh, source: Surface, offset: float, tolerance: float, gap: float) -> Wrapped | str:
     """The wrap with what is proven of it, or what is wrong with it."""
     report = audit_topology(found, mesh_topology(found))
     if not (report.watertight and report.manifold and report.oriented) or report.coincident_count:
         return "it is not closed and manifold"
-    # Without contact each part of the input is inside if one of its points is.
-    if _wrong(found, source).any():
+    # Without contact each part of the input is inside, as far as it is grown, if one of its points is.
+    if _wrong(found, source, offset).any():
         return "it crosses itself or the input"
     search = DistanceSearch(source, BOUND_SHARE * tolerance, 0.0)
     search.run(found, *search.measure_vertices(found))
-    if search.upper > tolerance + gap:
-        return f"it is {search.upper / tolerance:g} tolerances away from the input"
-    far = source.closest_point(found.vertices).distance > tolerance
+    # From points outside of what is grown, the way to it is that to the input without the offset.
+    deviation = search.upper - offset
+    if deviation > tolerance + gap:
+        return f"it is {deviation / tolerance:g} tolerances away from the input"
+    far = source.closest_point(found.vertices).distance > offset + tolerance
     genus = report.component_count - report.euler_number // 2
-    return Wrapped(found, search.upper, far[found.faces].any(axis=1), report.component_count, genus, 0)
+    return Wrapped(found, deviation, far[found.faces].any(axis=1), report.component_count, genus, 0)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import geokit as gk
+from benchmarks import scenes
 from geokit.errors import InputError
 from geokit.mesh import TriangleMesh, audit, box, plane, sphere, torus, wrap
 from tests.support.assemblies import concatenated, turned
@@ -67,10 +68,12 @@ def distances(points: np.ndarray, mesh: TriangleMesh) -> np.ndarray:
     return best * size
 
 
+@pytest.mark.parametrize("tolerances", [0.0, 2.0])
 @pytest.mark.parametrize("name", INPUTS)
-def test_a_wrap_is_a_solid_around_its_input_within_the_tolerance(name: str) -> None:
+def test_a_wrap_is_a_solid_around_its_grown_input_within_the_tolerance(name: str, tolerances: float) -> None:
     mesh, tolerance, gap = INPUTS[name]
-    found = wrap(mesh, tolerance=tolerance, gap=gap, device="cpu")
+    offset = tolerances * tolerance
+    found = wrap(mesh, tolerance=tolerance, gap=gap, offset=offset, device="cpu")
     report = audit(found.mesh, self_intersections=True)
     assert report.watertight
     assert report.manifold
@@ -82,16 +85,20 @@ def test_a_wrap_is_a_solid_around_its_input_within_the_tolerance(name: str) -> N
     assert found.deviation <= tolerance + gap
     assert found.bridges.shape == (found.mesh.face_count,)
     assert gap > 0.0 or not found.bridges.any()
-    # The input is inside, also between its vertices.
-    weights = np.random.default_rng(5).dirichlet((1.0, 1.0, 1.0), (8, mesh.face_count))
+    # The grown input is inside, also between its vertices.
+    rng = np.random.default_rng(5)
+    weights = rng.dirichlet((1.0, 1.0, 1.0), (8, mesh.face_count))
     inner = np.einsum("sfk,fkj->sfj", weights, mesh.vertices[mesh.faces]).reshape(-1, 3)
+    way = rng.normal(size=inner.shape)
+    inner = inner + offset * way / np.linalg.norm(way, axis=1, keepdims=True)
     assert gk.mesh.Surface(found.mesh, device="cpu").contains(inner, sign="winding").all()
-    # No point of the wrap is farther away than it says.
+    # No point of the wrap is nearer than the offset, or farther away than it says.
     points = gk.mesh.sample_surface(found.mesh, 400, seed=6).points
-    far = distances(np.concatenate([points, found.mesh.vertices[:200]]), mesh)
+    far = distances(np.concatenate([points, found.mesh.vertices[:200]]), mesh) - offset
+    assert far.min() >= 0.0
     assert far.max() <= found.deviation * (1.0 + 1e-6)
     assert far.max() >= 0.5 * found.deviation
-    again = wrap(mesh, tolerance=tolerance, gap=gap, device="cpu")
+    again = wrap(mesh, tolerance=tolerance, gap=gap, offset=offset, device="cpu")
     np.testing.assert_array_equal(again.mesh.vertices, found.mesh.vertices)
     np.testing.assert_array_equal(again.mesh.faces, found.mesh.faces)
 
@@ -137,9 +144,10 @@ def test_without_a_gap_slots_of_a_third_of_the_tolerance_are_closed() -> None:
 def test_lengths_of_any_size_are_wrapped(size: float) -> None:
     """Voxels of such sizes do not fit into float32."""
     scaled = TriangleMesh(size * BALL.vertices, BALL.faces)
-    found = wrap(scaled, tolerance=0.1 * size, gap=0.2 * size, device="cpu")
+    found = wrap(scaled, tolerance=0.1 * size, gap=0.2 * size, offset=0.3 * size, device="cpu")
     assert audit(TriangleMesh(found.mesh.vertices / size, found.mesh.faces), self_intersections=True).watertight
     assert 0.04 < found.deviation / size <= 0.1
+    assert 1.3 < np.linalg.norm(found.mesh.vertices / size, axis=1).max() <= 1.4
 
 
 def test_a_gap_beyond_the_diagonal_counts_as_that() -> None:
@@ -152,6 +160,46 @@ def test_coordinates_that_are_rounded_too_much_are_refused() -> None:
     far = TriangleMesh(BALL.vertices + 1e15, BALL.faces)
     with pytest.raises(InputError, match=r"tolerance: 0\.1 is too small this far from 0; move the mesh, or give 2048"):
         wrap(far, tolerance=0.1)
+
+
+def test_an_offset_closes_what_is_narrower_than_twice_its_width() -> None:
+    """Of two boxes 0.2 apart, and of one: its volume is that of the box, its sides, edges and corners (Steiner)."""
+    apart = concatenated(box(), box(center=(1.2, 0.0, 0.0)))
+    for offset, count in ((0.05, 2), (0.12, 1)):
+        assert wrap(apart, tolerance=0.05, offset=offset, device="cpu").component_count == count
+    least, most = (1.0 + 6.0 * r + 3.0 * np.pi * r**2 + 4.0 / 3.0 * np.pi * r**3 for r in (0.3, 0.32))
+    assert least < wrap(box(), tolerance=0.02, offset=0.3, device="cpu").mesh.volume < most
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.15])
+def test_attributes_come_from_the_faces_that_look_the_same_way(offset: float) -> None:
+    """Of a plate that is thinner than what surrounds it, with its sides labeled and its ends colored."""
+    plate = box((2.0, 2.0, 0.02))
+    side = np.argmax(np.abs(plate.face_normals), axis=1) * np.sign(plate.face_normals.sum(axis=1)).astype(int)
+    color = np.where(plate.vertices[:, :1] < 0.0, 0.0, 1.0) * np.ones(3)
+    plate = TriangleMesh(plate.vertices, plate.faces, vertex_data={"color": color}, face_data={"side": side})
+    found = wrap(plate, tolerance=0.1, offset=offset, device="cpu").mesh
+    flat = np.abs(found.face_normals[:, 2]) > 0.9
+    np.testing.assert_array_equal(found.face_data["side"][flat], 2 * np.sign(found.face_normals[flat, 2]))
+    expected = np.clip(0.5 * (found.vertices[:, 0] + 1.0), 0.0, 1.0)
+    np.testing.assert_allclose(found.vertex_data["color"], np.stack([expected] * 3, axis=1), atol=1e-6)
+    assert found.face_data["side"].dtype == side.dtype
+
+
+def test_lone_points_stay_inside_where_gaps_are_closed() -> None:
+    """Of the balls around them little is left then: voxels of the first size miss some of so many."""
+    points = np.random.default_rng(7).uniform(-1.0, 1.0, (300, 3))
+    lone = TriangleMesh(points, np.repeat(np.arange(300)[:, None], 3, axis=1))
+    found = wrap(lone, tolerance=0.05, gap=0.025, device="cpu")
+    assert gk.mesh.Surface(found.mesh, device="cpu").contains(points, sign="winding").all()
+
+
+def test_faces_stay_where_only_others_are_too_far() -> None:
+    """Few of a part's faces would be: all of what was merged last was given up for them (3,076 faces)."""
+    part = scenes.part(20_000).mesh
+    found = wrap(part, tolerance=0.02 * part.diagonal, device="cpu")
+    assert found.mesh.face_count < 1_600
+    assert wrap(box(), tolerance=0.05, device="cpu").mesh.face_count == 12
 
 
 def test_cavities_are_left_out_or_kept() -> None:
@@ -182,6 +230,13 @@ def test_bad_input_is_named() -> None:
     for bad in (-1.0, np.nan, np.inf):
         with pytest.raises(InputError, match=r"gap.*finite number, 0 or more"):
             wrap(BALL, tolerance=0.1, gap=bad)
+        with pytest.raises(InputError, match=r"offset.*finite number, 0 or more"):
+            wrap(BALL, tolerance=0.1, offset=bad)
+    for lengths in ({"tolerance": 1e6}, {"tolerance": 1.0, "offset": 1e6}):
+        with pytest.raises(InputError, match=rf"{[*lengths][-1]}: 1e\+06 is over 250000 sizes of the mesh, 2"):
+            wrap(BALL, **lengths)
+    with pytest.raises(InputError, match=r"tolerance: 1e-12 is too small this far from 0"):
+        wrap(BALL, tolerance=1e-12, offset=100.0)
     with pytest.raises(InputError, match="cavities"):
         wrap(BALL, tolerance=0.1, cavities=1)  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"no faces.*\(i, i, i\)"):
