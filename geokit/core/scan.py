@@ -53,14 +53,15 @@ def flagged(flag: "wp.array") -> "wp.array":
     return found
 
 
-def gathered(rows: "wp.array", index: "wp.array") -> "wp.array":
-    """The rows (vec3d, vec3f, vec3i, int32 or int64) of some numbers, in their order."""
+def gathered(rows: "wp.array", index: "wp.array", count: int | None = None) -> "wp.array":
+    """The rows (vec3d, vec3f, vec3i, int32 or int64) of some numbers, or of the first of them, in their order."""
     import warp as wp
 
     from geokit.core.sorting.gather_kernels import GATHER
 
-    found = wp.empty(len(index), dtype=rows.dtype, device=rows.device)
-    launcher.launch(GATHER[rows.dtype], len(index), [rows, index], [found], rows.device)
+    count = len(index) if count is None else count
+    found = wp.empty(count, dtype=rows.dtype, device=rows.device)
+    launcher.launch(GATHER[rows.dtype], count, [rows, index], [found], rows.device)
     return found
 
 

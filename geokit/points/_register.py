@@ -187,7 +187,7 @@ def register(
     center, size, radius = _measure(points)
     # Along a space-filling curve, consecutive points have partners that are close in memory.
     order = launcher.morton_order(points, center - radius, 2.0 * radius, points.device)
-    points = gathered(points, order[: len(points)])
+    points = gathered(points, order, len(points))
     pose = _Pose(start[:3, :3], center, start[:3, :3] @ center + start[:3, 3])
     search = _Search(points, goal, method, limit, size)
     converged, steps = False, 0

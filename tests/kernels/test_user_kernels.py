@@ -323,7 +323,7 @@ def test_neighbors_are_those_of_the_search(device, factor):
 
 
 def test_groups_and_cells_that_repeat_are_refused():
-    with pytest.raises(gk.InputError, match="groups: kernels do not tell them apart"):
+    with pytest.raises(gk.InputError, match="groups: kernels cannot tell them apart"):
         gk.points.NeighborGrid(np.zeros((4, 3)), 1.0, groups=[0, 2, 4], device="cpu").on_kernel()
     with pytest.raises(gk.InputError, match="periodic: not for on_kernel"):
         gk.points.NeighborGrid(np.zeros((4, 3)), 0.1, periodic=[1, 1, 1], device="cpu").on_kernel()

@@ -102,6 +102,8 @@ def _need(query: Query, *given: Any, **options: Any) -> int:
 def _axes(options: dict[str, Any]) -> tuple[int, ...]:
     """Those of a transform, three for many poses; none of what the call will refuse."""
     given: Any = options.get("transform")
+    if given is None:
+        return ()
     try:
         return np.shape(given)
     except Exception:

@@ -281,6 +281,7 @@ class Surface(SignQueries, RayQueries, DistanceQueries):
         """
         return int(self._warp_mesh.id)
 
+    @needs(lambda self, *_, **__: 325 * self.mesh.face_count)
     def on_kernel(self, sign: str | None = "auto") -> InKernels:
         """The surface for the user's own kernels, which call :mod:`geokit.kernels` on it: exact, with the calls' bits.
 

@@ -231,7 +231,7 @@ def _sorted_by(points: "wp.array", keys: Any, key_count: int) -> VoxelOrder:
     order, numbers, run_count = _sorted_numbers(keys, count, key_count)
     begin = wp.empty(run_count + 1, dtype=wp.int32, device=device)
     launcher.launch(begin_kernel, count, [numbers], [begin], device)
-    return VoxelOrder(gathered(points, order[:count]), order, begin)
+    return VoxelOrder(gathered(points, order, count), order, begin)
 
 
 def _sorted_numbers(keys: "wp.array", count: int, key_count: int) -> tuple["wp.array", "wp.array", int]:

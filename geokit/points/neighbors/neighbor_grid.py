@@ -390,13 +390,14 @@ class NeighborGrid:
         Raises:
             InputError: The grid has groups or is periodic.
         """
-        self._refuse_in_kernels("id", "queries of a wp.HashGrid")
+        self._refuse_in_kernels("id", "a wp.HashGrid")
         with self._lock:
             if self._hash_grid is None:
                 # Warp needs a positive cell length even if the radius is 0.
                 self._hash_grid = _hash_grid_of(self._points(), self._radius or self._spacing or 1.0)
             return int(self._hash_grid[0].id)
 
+    @needs(lambda self: 48 * self._count)
     def on_kernel(self) -> InKernels:
         """The points for the user's own kernels, which call :mod:`geokit.kernels` on them: exact, as the searches.
 
@@ -417,8 +418,8 @@ class NeighborGrid:
 
     def _refuse_in_kernels(self, name: str, who: str) -> None:
         if self._groups is not None:
-            raise InputError(f"groups: {who} do not tell them apart; make a grid for each, or without groups")
-        self._refuse_periodic(name, f"{who} find no images")
+            raise InputError(f"groups: {who} cannot tell them apart; make a grid for each, or without groups")
+        self._refuse_periodic(name, f"{who} cannot find images")
 
     def __len__(self) -> int:
         return self._count

@@ -210,7 +210,7 @@ def in_grid_order(
     launcher.launch(kernels.tile_keys_kernel, len(cells), inputs, [keys, rows], device)
     if count > 1:
         sort_pairs(keys, rows, count, end_bit=63)
-    tiles = gathered(cells, rows[:count])
+    tiles = gathered(cells, rows, count)
     # NanoVDB's keys sort negative coordinates last, and so does tile_keys_kernel.
     lines = [np.arange(a, b + 1) for a, b in zip(first, last, strict=True)]
     axes = tuple(np.concatenate([line[line >= 0], line[line < 0]]) for line in lines)
