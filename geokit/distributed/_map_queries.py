@@ -14,6 +14,7 @@ from geokit import volume
 from geokit._packages import require_package
 from geokit.core.base.query import Query, queries_of
 from geokit.core.memory.needs import needs
+from geokit.core.query.ask import transform_axes
 from geokit.core.require import require_choice
 from geokit.errors import InputError
 from geokit.mesh.surfaces.surface import Surface
@@ -100,7 +101,7 @@ def map_queries(
         if rows[1].shape != rows[0].shape:
             raise InputError(f"directions: has shape {directions.shape} and points {points.shape}; give one for each")
         rows[1] = rows[1].rechunk(rows[0].chunks)
-    if len(getattr(options.get("transform"), "shape", ())) == 3:
+    if len(transform_axes(options)) == 3:
         raise InputError("transform: several poses have an axis of their own, before the rows; ask for one at a time")
     # What the answers are: those of two rows.
     try:

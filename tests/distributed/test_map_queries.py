@@ -129,6 +129,8 @@ def test_what_cannot_be_asked_is_named(things) -> None:
         ((things["surface"], points, points[:10]), {"query": "raycast"}, r"directions: has shape \(10, 3\)"),
         ((things["surface"], points), {"radius": 3}, "options: closest_point does not take them.*radius"),
         ((things["surface"], points), {"max_distance": -1}, "max_distance"),
+        ((things["surface"], points), {"transform": np.eye(4)[None]}, "transform: several poses"),
+        ((things["surface"], points), {"transform": np.eye(4)[None].tolist()}, "transform: several poses"),
     ]:
         with pytest.raises(InputError, match=words):
             map_queries(*arguments, **options)

@@ -19,7 +19,7 @@ from geokit.core.memory.needs import estimated, guarded
 from geokit.core.memory.needs import rows as count
 from geokit.core.poses.move import BYTES_PER_MOVE, answer_placed, refuse_tracked
 
-__all__ = ["query"]
+__all__ = ["query", "transform_axes"]
 
 _Arguments = ParamSpec("_Arguments")
 _Answer = TypeVar("_Answer")
@@ -57,8 +57,7 @@ def ask(query: Query, given: tuple[Any, ...], options: dict[str, Any]) -> Any:
     they raise, and hands the answer out in the caller's kind of array.
     """
     # 1. On several devices each answers a block of the rows, by a call of its own; of many poses those of all.
-    is_posed = query.is_placed and not query.is_packed and len(_axes(options)) == 3
-    if query.least_rows is not None and not is_posed and several_devices.are_asked(given, options):
+    if query.least_rows is not None and several_devices.are_asked(given, options) and not _is_posed(query, options):
         return several_devices.answer(query, given, options)
     # 2. Where a transform says where the object is, the rows are moved to it, and what is found is moved back.
     if query.is_placed and "transform" in options:
@@ -91,7 +90,7 @@ def _search(query: Query, given: tuple[Any, ...], options: dict[str, Any]) -> An
 
 def _need(query: Query, *given: Any, **options: Any) -> int:
     """The memory that a call needs [bytes]."""
-    poses = math.prod(_axes(options)[:-2]) if not query.is_packed else 1
+    poses = math.prod(transform_axes(options)[:-2]) if not query.is_packed else 1
     transform = options.pop("transform", None) if query.is_placed else None
     first = query.rows[:1]
     rows = poses * (count(given[1] if len(given) > 1 else options.get(*first)) if first else 0)
@@ -99,7 +98,7 @@ def _need(query: Query, *given: Any, **options: Any) -> int:
     return estimated(query.memory, given, options) + (query.row_bytes + BYTES_PER_MOVE * moves) * rows
 
 
-def _axes(options: dict[str, Any]) -> tuple[int, ...]:
+def transform_axes(options: dict[str, Any]) -> tuple[int, ...]:
     """Those of a transform, three for many poses; none of what the call will refuse."""
     given: Any = options.get("transform")
     if given is None:
@@ -108,3 +107,8 @@ def _axes(options: dict[str, Any]) -> tuple[int, ...]:
         return np.shape(given)
     except Exception:
         return ()
+
+
+def _is_posed(query: Query, options: dict[str, Any]) -> bool:
+    """Whether many poses are asked, whose axis is before that of the rows."""
+    return query.is_placed and not query.is_packed and len(transform_axes(options)) == 3
