@@ -15,6 +15,8 @@ from .sign.queries import SignedDistances as SignedDistances
 from .queries.rays import RayHits as RayHits, RayHitLists as RayHitLists
 from .queries.overlaps import BoxOverlaps as BoxOverlaps
 from .queries.distance import SurfaceDistance as SurfaceDistance
+from .contacts.contacts import Contacts as Contacts
+from .contacts.motion import TimeOfContact as TimeOfContact
 
 # What a mesh is fit for, and repairs.
 from ._audit import audit as audit

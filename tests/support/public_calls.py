@@ -23,9 +23,9 @@ MORE: tuple[ModuleType, ...] = (gk.distributed,) if importlib.util.find_spec("da
 DOORS: tuple[ModuleType, ...] = (*MORE, gk.mesh, gk.volume, gk.points, gk.render, gk.threads, gk.accuracy, native)
 # What functions return. Users do not make them, so their constructors check nothing.
 RESULTS = {
-    "mesh": "BoxOverlaps ClosestPoints DirectedDistance FilledHoles FurthestPoints HausdorffDistance MeshAudit"
+    "mesh": "BoxOverlaps ClosestPoints Contacts DirectedDistance FilledHoles FurthestPoints HausdorffDistance MeshAudit"
     " OrientedMesh RayHitLists RayHits Repaired SignedDistances Simplified SurfaceDistance SurfaceSamples"
-    " Untangled Wrapped",
+    " TimeOfContact Untangled Wrapped",
     "volume": "ActiveVoxels ConnectedComponents Curvatures DenseGrid GridInfo MeshBand PlannedField Statistics"
     " Transmittance VolumeHits",
     "points": "Candidates ChamferDistance Cover DirectedDistance Downsampled HausdorffDistance KNearest NeighborBlock"
@@ -183,6 +183,9 @@ def _mesh_calls(s: Scene) -> Iterator[Call]:
     for name in ("raycast", "raycast_all", "crossing_count", "occluded"):
         yield Call(f"mesh.Surface.{name}(transform)", getattr(s.surface, name), {**rays, **pose})
     yield Call("mesh.Surface.distance", s.surface.distance, {"other": other, "transform": np.eye(4)})
+    yield Call("mesh.Surface.contacts", s.surface.contacts, {"other": other, "transform": np.eye(4), "margin": 0.1})
+    motion = {"other": other, "motion": np.stack([np.eye(4)] * 2), "tolerance": 0.1}
+    yield Call("mesh.Surface.until_contact", s.surface.until_contact, motion)
     yield Call("mesh.Surface.intersecting_triangles", s.surface.intersecting_triangles, {"other": other})
     yield Call("mesh.Surface.sample_attributes", s.painted.sample_attributes, {**asked, "names": ["height"]})
     yield Call("mesh.Surface.self_intersections", s.surface.self_intersections, {})

@@ -1,6 +1,7 @@
 // The nearest pair of triangles of two surfaces, and the points of theirs that are nearest to each other.
 //
 // Triangles that do not meet are nearest at a vertex of one and a point of the other, or inside an edge of each.
+#include "core/atomic.inl"
 #include "core/simd.inl"
 #include "mesh/bvh/bvh2.inl"
 #include "mesh/bvh/closest_on_triangle.inl"
@@ -58,14 +59,9 @@ static constexpr auto feature_gap = [](const point* t, const point* u, point& x,
         }
     return least;
 };
-// The squared distance of two triangles, arrays of three points; sets x on t and y on u. 0 and a common point, to
-// rounding, where they meet, which is decided exactly.
-static constexpr auto triangle_gap = [](const point* t, const point* u, point& x, point& y) OUT_OF_LINE {
-    const bool meet = boxes_meet(t, u, 0.0) && triangles_meet(t, u);
-    double least = feature_gap(t, u, x, y);
-    // Rounding may make 0 of a gap: triangles that do not meet are apart.
-    if (!meet) return wp::max(least, 1e-300);
-    // Where an edge goes through the other triangle, no vertex and no other edge need be near.
+// Calls on_point(point, squared) where the plane of a triangle cuts an edge of the other one, with how far from the
+// triangle that is.
+static constexpr auto visit_through = [](const point* t, const point* u, auto&& on_point) {
     for (int side = 0; side < 2; ++side) {
         const point *one = side ? u : t, *other = side ? t : u;
         const point n = wp::cross(other[1] - other[0], other[2] - other[0]);
@@ -75,29 +71,35 @@ static constexpr auto triangle_gap = [](const point* t, const point* u, point& x
             if (!(from * to < 0.0)) continue;
             const point through = p + (from / (from - to)) * (q - p);
             point found;
-            const double squared = vertex_gap(through, other, found);
-            if (squared >= least) continue;
-            least = squared;
-            x = through;
+            on_point(through, vertex_gap(through, other, found));
         }
     }
+};
+// The squared distance of two triangles, arrays of three points; sets x on t and y on u. 0 and a common point, to
+// rounding, where they meet, which is decided exactly.
+static constexpr auto triangle_gap = [](const point* t, const point* u, point& x, point& y) OUT_OF_LINE {
+    const bool meet = boxes_meet(t, u, 0.0) && triangles_meet(t, u);
+    double least = feature_gap(t, u, x, y);
+    // Rounding may make 0 of a gap: triangles that do not meet are apart.
+    if (!meet) return wp::max(least, 1e-300);
+    // Where an edge goes through the other triangle, no vertex and no other edge need be near.
+    visit_through(t, u, [&](const point& through, double squared) {
+        if (squared >= least) return;
+        least = squared;
+        x = through;
+    });
     y = x;
     return 0.0;
 };
 
-// The nearest pair of one item: a leaf of eight slots on a CPU, one slot on CUDA, against a whole tree.
-//
-// The tree is pruned in float64 by the distance of its boxes from those of the item. Pairs as near as the limit, a
-// squared distance in units, count, and ties go to the lowest triangle of the surface, then of the tree: which pair
-// wins in the end depends neither on the order of items nor on how soon the limit falls. Writes the squared distance
-// (in units, inf without a pair) and both slots (-1), and returns the lower one of that distance and the limit.
-static constexpr auto nearest_pair = [](int item, const SurfaceTree& surface, const wp::mat33d& linear,
+// Calls take(slot, other, t, u) with pairs of one item (a leaf of eight slots on a CPU, one slot on CUDA) and a whole
+// tree, and with their corners in units: all that are as near as `best`, a squared distance in units, which take may
+// lower. The tree is pruned in float64 by the distance of its boxes from those of the item.
+static constexpr auto visit_nearer = [](int item, const SurfaceTree& surface, const wp::mat33d& linear,
                                         const point& shift, const SurfaceTree& tree,
-                                        const wp::array_t<float>& slot_boxes, double unit, double limit, int out_row,
-                                        wp::array_t<double>& out_squared, wp::array_t<int>& out_slots) -> double {
+                                        const wp::array_t<float>& slot_boxes, double unit, double& best, auto&& take) {
     const wp::array_t<int>& slot_triangle = surface.slot_triangle;
-    double best = limit, reach = 0.0, far = 0.0;
-    int winner = -1, winner_other = -1;
+    double reach = 0.0, far = 0.0;
 #if defined(__CUDA_ARCH__)
     const int width = 1;
 #else
@@ -157,25 +159,16 @@ static constexpr auto nearest_pair = [](int item, const SurfaceTree& surface, co
         return beyond(other - nearest);
     };
     auto evaluate = [&](int slot, int other) {
-        const int triangle = slot_triangle.data[slot], another = tree.slot_triangle.data[other];
-        if (triangle < 0 || another < 0) return;
-        point t[3], u[3], x, y;
+        if (slot_triangle.data[slot] < 0 || tree.slot_triangle.data[other] < 0) return;
+        point t[3], u[3];
         for (int k = 0; k < 3; ++k) {
             t[k] = moved[slot - width * item][k] * unit;
             u[k] = tree.corners.data[3 * other + k] * unit;
         }
         if (surely_farther(t, u)) return;
-        const double squared = triangle_gap(t, u, x, y);
-        if (!(squared <= best)) return;
-        if (squared == best && winner >= 0) {
-            const int first = slot_triangle.data[winner];
-            if (triangle > first || (triangle == first && another > tree.slot_triangle.data[winner_other])) return;
-        }
-        winner = slot;
-        winner_other = other;
-        if (squared == best) return;
-        best = squared;
-        update_reach();
+        const double before = best;
+        take(slot, other, t, u);
+        if (best != before) update_reach();
     };
     update_reach();
 #if defined(__CUDA_ARCH__)
@@ -296,11 +289,103 @@ static constexpr auto nearest_pair = [](int item, const SurfaceTree& surface, co
         }
     }
 #endif
+};
+
+// The nearest pair of one item. Pairs as near as the limit count, and ties go to the lowest triangle of the surface, then
+// of the tree: which pair wins in the end depends neither on the order of items nor on how soon the limit falls. Writes
+// the squared distance (in units, inf without a pair) and both slots (-1), and returns the lower one of that distance and
+// the limit.
+static constexpr auto nearest_pair = [](int item, const SurfaceTree& surface, const wp::mat33d& linear,
+                                        const point& shift, const SurfaceTree& tree,
+                                        const wp::array_t<float>& slot_boxes, double unit, double limit, int out_row,
+                                        wp::array_t<double>& out_squared, wp::array_t<int>& out_slots) -> double {
+    double best = limit;
+    int winner = -1, winner_other = -1;
+    visit_nearer(item, surface, linear, shift, tree, slot_boxes, unit, best,
+                 [&](int slot, int other, const point* t, const point* u) {
+                     point x, y;
+                     const double squared = triangle_gap(t, u, x, y);
+                     if (!(squared <= best)) return;
+                     if (squared == best && winner >= 0) {
+                         const int triangle = surface.slot_triangle.data[slot],
+                                   first = surface.slot_triangle.data[winner];
+                         const int another = tree.slot_triangle.data[other];
+                         if (triangle > first || (triangle == first && another > tree.slot_triangle.data[winner_other]))
+                             return;
+                     }
+                     winner = slot;
+                     winner_other = other;
+                     best = squared;
+                 });
     out_squared.data[out_row] = winner < 0 ? (double)INFINITY : best;
     out_slots.data[2 * out_row] = winner;
     out_slots.data[2 * out_row + 1] = winner_other;
     return best;
 };
+
+// Area of the part of t from which u is within a margin straight along the normal of t: u clipped by the sides of t and
+// by two planes along it, as seen from there. 0 of triangles without area.
+static constexpr auto area_within = [](const point* t, const point* u, double margin) OUT_OF_LINE {
+    point n = wp::cross(t[1] - t[0], t[2] - t[0]), now[8], next[8];
+    const double length = wp::length(n);
+    if (!(length > 0.0)) return 0.0;
+    n = n / length;
+    int count = 3;
+    for (int k = 0; k < 3; ++k) now[k] = u[k] - t[0];
+    for (int plane = 0; plane < 5; ++plane) {
+        const point on = plane < 3 ? t[plane] - t[0] : point();
+        const point inward = plane < 3 ? wp::cross(n, t[(plane + 1) % 3] - t[plane]) : plane == 3 ? n : -n;
+        int kept = 0;
+        for (int k = 0; k < count; ++k) {
+            const point p = now[k], q = now[(k + 1) % count];
+            const double from = wp::dot(inward, p - on) + (plane < 3 ? 0.0 : margin);
+            const double to = wp::dot(inward, q - on) + (plane < 3 ? 0.0 : margin);
+            if (from >= 0.0) next[kept++] = p;
+            if ((from >= 0.0) != (to >= 0.0) && kept < 8) next[kept++] = p + (from / (from - to)) * (q - p);
+        }
+        count = kept;
+        for (int k = 0; k < count; ++k) now[k] = next[k];
+    }
+    double twice = 0.0;
+    for (int k = 2; k < count; ++k) twice += wp::dot(n, wp::cross(now[k - 1] - now[0], now[k] - now[0]));
+    return wp::abs(twice) / 2.0;
+};
+
+// Counts the pairs of an item in a pose, and writes those that there is room for, in any order: the pose and both
+// triangles, their distance and the area on the first one, and the nearest points [world].
+static constexpr auto list_within =
+    [](int row, int items, const SurfaceTree& surface, const wp::array_t<wp::mat33d>& linear,
+       const wp::array_t<wp::vec3d>& shift, const SurfaceTree& tree, const wp::array_t<float>& slot_boxes,
+       const wp::array_t<double>& unit, double margin, wp::array_t<wp::int64>& out_count, wp::array_t<int>& out_pairs,
+       wp::array_t<double>& out_measures, wp::array_t<wp::vec3d>& out_points) {
+        const int pose = row / items;
+        const double scale = unit.data[pose], within = margin * scale;
+        double limit = within * within;
+        visit_nearer(row % items, surface, linear.data[pose], shift.data[pose], tree, slot_boxes, scale, limit,
+                     [&](int slot, int other, const point* t, const point* u) {
+                         point x, y, sum;
+                         const double squared = triangle_gap(t, u, x, y);
+                         if (!(squared <= limit)) return;
+                         const wp::int64 at = add_to(out_count, 0, (wp::int64)1);
+                         if (2 * at >= out_measures.shape[0]) return;
+                         // Of triangles that cross, the middle of what they share: it moves on as they do.
+                         double count = 0.0;
+                         if (squared == 0.0)
+                             visit_through(t, u, [&](const point& through, double off) {
+                                 if (off > CONTACT_ERROR * CONTACT_ERROR) return;
+                                 sum += through;
+                                 ++count;
+                             });
+                         if (count > 0.0) x = y = sum / count;
+                         out_pairs.data[3 * at] = pose;
+                         out_pairs.data[3 * at + 1] = surface.slot_triangle.data[slot];
+                         out_pairs.data[3 * at + 2] = tree.slot_triangle.data[other];
+                         out_measures.data[2 * at] = sqrt(squared) / scale;
+                         out_measures.data[2 * at + 1] = area_within(t, u, within + CONTACT_ERROR) / scale / scale;
+                         out_points.data[2 * at] = x / scale;
+                         out_points.data[2 * at + 1] = y / scale;
+                     });
+    };
 
 // Writes the nearest points of the pair of slots of a pose [world], one of each surface.
 static constexpr auto points_of_pair = [](int pose, const SurfaceTree& surface, const wp::array_t<wp::mat33d>& linear,

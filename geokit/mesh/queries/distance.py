@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -88,24 +89,34 @@ class DistanceQueries(OverlapQueries):
             >>> low.distance(high, transform=up).distance.round(9)
             array([3.5, 2.5, 1.5])
         """
+        given = np.eye(4) if transform is None else require_affine_maps(transform, "transform")
+        found = self._of_blocks(self._distances, other, given.reshape(-1, 4, 4), transform is None)
+        if given.ndim == 2:
+            distance, point, other_point, triangle_id, other_triangle_id = (each[0] for each in found)
+            return SurfaceDistance(float(distance), point, other_point, int(triangle_id), int(other_triangle_id))
+        return SurfaceDistance(*found)
+
+    def _of_blocks(
+        self, answer: Callable[..., Any], other: OverlapQueries, maps: NDArray[np.float64], in_place: bool
+    ) -> list[NDArray[Any]]:
+        """The arrays that ``answer(other, maps, unit)`` gives for as many poses at a time as there is room for."""
         other = snapshot(require_surface(self, other))
-        if transform is None:
+        if in_place:
             require_one_world(surface=self.mesh, other=other.mesh)
         require_measurable(self.mesh, self._frame)
         require_measurable(other.mesh, other._frame)
-        given = np.eye(4) if transform is None else require_affine_maps(transform, "transform")
-        maps = given.reshape(-1, 4, 4)
         scale = self._moved_scales(maps)
         # A power of two scales without rounding; unscaled, products of corners could underflow.
         unit = np.ldexp(1.0, -np.round(np.log2(np.maximum(scale, other._frame.scale))).astype(np.int32))
         count = max(ROWS // self._leaf_count, 1)
         begins = range(0, max(len(maps), 1), count)
-        parts = [self._distances(other, maps[at : at + count], unit[at : at + count]) for at in begins]
-        found = [np.concatenate(part) for part in zip(*parts, strict=True)]
-        if given.ndim == 2:
-            distance, point, other_point, triangle_id, other_triangle_id = (each[0] for each in found)
-            return SurfaceDistance(float(distance), point, other_point, int(triangle_id), int(other_triangle_id))
-        return SurfaceDistance(*found)
+        parts = [answer(other, maps[at : at + count], unit[at : at + count]) for at in begins]
+        return [np.concatenate(part) for part in zip(*parts, strict=True)]
+
+    def _on_device(self, values: NDArray[Any], dtype: Any) -> Any:
+        import warp as wp
+
+        return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self._device)
 
     def _distances(
         self, other: OverlapQueries, maps: NDArray[np.float64], unit: NDArray[np.float64]
@@ -115,11 +126,7 @@ class DistanceQueries(OverlapQueries):
 
         from geokit.mesh.queries import distance_kernels as kernels
 
-        device, slots, leaves = self._device, len(self._tree.slot_triangle), self._leaf_count
-
-        def upload(values: NDArray[Any], dtype: Any) -> Any:
-            return wp.array(np.ascontiguousarray(values), dtype=dtype, device=device)
-
+        device, slots, leaves, upload = self._device, len(self._tree.slot_triangle), self._leaf_count, self._on_device
         poses = [upload(maps[:, :3, :3], wp.mat33d), upload(maps[:, :3, 3], wp.vec3d)]
         units, stride = upload(unit, wp.float64), max(-(-slots // BOUND_CORNERS), BOUND_STRIDE)
         items = -(-slots // stride)

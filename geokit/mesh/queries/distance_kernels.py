@@ -1,5 +1,5 @@
-"""The nearest pair of triangles of two surfaces, one of which stands in poses: a pair for each of its leaves, then the
-points of the nearest one."""
+"""Pairs of triangles of two surfaces, one of which stands in poses: the nearest (one for each leaf, then the points of
+the nearest of all), or all within a margin."""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -19,6 +19,8 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll":
 
 # A bound from a vertex is widened by more than the rounding by which the pair's own distance may exceed it.
 WIDENED = wp.constant(wp.float64(1.0 + 1e-9))
+# Share of the size within which distances are known, and points and planes touch where no predicate decides.
+CONTACT_ERROR = 1e-12
 
 _CONSTANTS = {
     **NODE_CONSTANTS,
@@ -26,6 +28,7 @@ _CONSTANTS = {
     "SLIVER_SINE_SQUARED": SLIVER_SINE_SQUARED,
     "BOX_PADDING": BOX_PADDING,
     "STACK": STACK,
+    "CONTACT_ERROR": CONTACT_ERROR,
 }
 
 
@@ -101,3 +104,8 @@ def nearest_pair_kernel(
 @wp.kernel
 @cpp.native_item("mesh/queries/distance.inl", "points_of_pair", SurfaceTree, **_CONSTANTS)
 def points_of_pair_kernel(first: int): ...
+
+
+@wp.kernel
+@cpp.native_item("mesh/queries/distance.inl", "list_within", SurfaceTree, **_CONSTANTS)
+def list_within_kernel(first: int): ...

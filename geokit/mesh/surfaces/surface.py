@@ -21,11 +21,11 @@ from geokit.core.memory.unchecked import allocating
 from geokit.core.require import read_array
 from geokit.errors import DeviceMemoryError, InputError
 from geokit.mesh.attributes.derived import derived
+from geokit.mesh.contacts.motion import MotionQueries
 from geokit.mesh.model.device_mesh import arrays_on
 from geokit.mesh.model.triangle_mesh import TriangleMesh
-from geokit.mesh.queries.distance import DistanceQueries
 from geokit.mesh.queries.rays import RayQueries
-from geokit.mesh.sign.queries import FAR, SignQueries
+from geokit.mesh.sign.queries import FAR
 from geokit.mesh.surfaces.objects import require_mesh
 from geokit.mesh.topology.size_limits import require_measurable
 
@@ -51,7 +51,7 @@ LEAF_SIZE_CUDA = 1
 
 
 @shows_arguments
-class Surface(SignQueries, RayQueries, DistanceQueries):
+class Surface(MotionQueries, RayQueries):
     """A mesh prepared once for many queries on one device.
 
     A pickle or a copy carries the mesh and prepares it again, on the same device if there is one of that name.
