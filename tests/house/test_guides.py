@@ -63,6 +63,14 @@ def clearance(made: SimpleNamespace) -> None:
         else:
             assert away.min() < 0.1
             assert depth == pytest.approx(-away.min(), abs=0.6)
+    np.testing.assert_array_equal(made.most > 0.0, made.clearance == 0.0)
+    assert (made.most >= made.depth - 0.5).all()
+    assert ((made.regions > 0) == (made.clearance <= 2.0)).all()
+    # Where a motion ends free, the clearance of its last pose says so too.
+    free = made.until.time == 1.0
+    assert (made.clearance[1:][free] > 0.0).all()
+    assert made.until.separation[free] == pytest.approx(made.clearance[1:][free], abs=1e-9)
+    assert made.clearance[: made.step + 1].min() > 0.0
 
 
 @check

@@ -122,4 +122,4 @@ def _turn(linear: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.
 
 def _turned_by(axis: NDArray[np.float64], angle: NDArray[np.float64]) -> NDArray[np.float64]:
     c, s = np.cos(angle)[:, None, None], np.sin(angle)[:, None, None]
-    return c * np.eye(3) + s * np.cross(np.eye(3), -axis[:, None]) + (1.0 - c) * axis[:, :, None] * axis[:, None]
+    return c * np.eye(3) + s * np.cross(np.eye(3), axis[:, None]) + (1.0 - c) * axis[:, :, None] * axis[:, None]

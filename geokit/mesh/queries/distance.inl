@@ -363,6 +363,8 @@ static constexpr auto list_within =
         double limit = within * within;
         visit_nearer(row % items, surface, linear.data[pose], shift.data[pose], tree, slot_boxes, scale, limit,
                      [&](int slot, int other, const point* t, const point* u) {
+                         // Without a margin their distance says nothing more.
+                         if (limit == 0.0 && !(boxes_meet(t, u, 0.0) && triangles_meet(t, u))) return;
                          point x, y, sum;
                          const double squared = triangle_gap(t, u, x, y);
                          if (!(squared <= limit)) return;

@@ -33,7 +33,7 @@ def moved(by, turned=None):
 
 def about(axis, degrees):
     x, c, s = np.asarray(axis) / np.linalg.norm(axis), np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-    return c * np.eye(3) + s * np.cross(np.eye(3), -x) + (1 - c) * np.outer(x, x)
+    return c * np.eye(3) + s * np.cross(np.eye(3), x) + (1 - c) * np.outer(x, x)
 
 
 def check(found, error=1e-11):

@@ -15,7 +15,7 @@ def surface(mesh):
 def pose(by=(0, 0, 0), axis=(0, 0, 1), degrees=0.0):
     x, c, s = np.asarray(axis) / np.linalg.norm(axis), np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     matrix = np.eye(4)
-    matrix[:3, :3] = c * np.eye(3) + s * np.cross(np.eye(3), -x) + (1 - c) * np.outer(x, x)
+    matrix[:3, :3] = c * np.eye(3) + s * np.cross(np.eye(3), x) + (1 - c) * np.outer(x, x)
     matrix[:3, 3] = by
     return matrix
 
@@ -81,6 +81,9 @@ def test_never_later_than_poses_along_the_motion():
         assert (one.distance(other, transform=poses).distance > 0.0).all()
         if found.time[i] < 1.0:
             assert found.separation[i] <= 2e-6 * 1.2
+        else:
+            last = one.distance(other, transform=path[1]).distance
+            assert found.separation[i] == pytest.approx(last, abs=1e-9)
 
 
 def test_no_motions():
