@@ -97,6 +97,7 @@ def pairs(calls_of: calls.Scene, a: dict[str, Any], b: dict[str, Any]) -> dict[s
         "mesh.intersection": lambda: gk.mesh.intersection(one, two),
         "mesh.transfer_attributes": lambda: gk.mesh.transfer_attributes(one, two, device="cpu"),
         "mesh.sample_attributes": lambda: gk.mesh.sample_attributes(one, {"d": other}, device="cpu"),
+        "Surface.contacts": lambda: first.contacts(second),
         "Surface.distance": lambda: first.distance(second),
         "Surface.intersecting_triangles": lambda: first.intersecting_triangles(second),
         **(csg if native.available() else {}),

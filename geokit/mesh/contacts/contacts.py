@@ -70,7 +70,7 @@ class Contacts(NamedTuple):
 class ContactQueries(SignQueries, DistanceQueries):
     """Contacts of a :class:`geokit.mesh.Surface` with others."""
 
-    @query(memory=lambda self, other, **_: 64 * (self.mesh.face_count + other.mesh.face_count))
+    @query(memory=lambda self, other, **_: 450 * (self.mesh.face_count + other.mesh.face_count))
     def contacts(self, other: DistanceQueries, *, transform: ArrayLike | None = None, margin: float = 0.0) -> Contacts:
         """Contacts with another surface: of each region where the two touch, are near or cross the points on both.
 
@@ -164,8 +164,8 @@ class _Shape:
         by_place = np.argsort(self.corners.ravel(), kind="stable")
         self.around = by_place // 3
         self.starts = np.searchsorted(self.corners.ravel()[by_place], np.arange(len(self.places) + 1))
-        self.ends = self.places[self.corners]
-        sides = np.roll(self.ends, -1, axis=1) - self.ends
+        ends = self.places[self.corners]
+        sides = np.roll(ends, -1, axis=1) - ends
         # No point of a face is farther than this from all of its corners.
         self.reach = np.linalg.norm(sides, axis=2).max(axis=1) / math.sqrt(3.0)
         self.area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) / 2.0
@@ -296,7 +296,7 @@ class _Regions:
     def _normals_of(self, rows: Indices, of_0: Floats, of_1: Floats) -> Floats:
         """Normals of pairs of faces, from body 0 to body 1; those of their faces are given."""
         maps, points = self.maps[self.pose[rows]], self.points[rows]
-        ends = [shape.ends[self.faces[rows, k]] for k, shape in enumerate(self.shapes)]
+        ends = [shape.places[shape.corners[self.faces[rows, k]]] for k, shape in enumerate(self.shapes)]
         ends[0] = ends[0] @ maps[:, :3, :3].transpose(0, 2, 1) + maps[:, None, :3, 3]
         # Whether the point is inside of its face, or on one edge; and that edge.
         inside, on_edge, edge = [], [], []

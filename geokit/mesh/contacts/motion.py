@@ -86,7 +86,7 @@ class MotionQueries(ContactQueries):
         axis, angle = _turn(first.transpose(0, 2, 1) @ last)
         center = path[..., :3, :3] @ self._frame.origin + path[..., :3, 3]
         along = center[:, 1] - center[:, 0]
-        radius = np.linalg.norm(self.mesh.vertices[self.mesh.faces] - self._frame.origin, axis=2).max()
+        radius = self.furthest_point(self._frame.origin[None]).distance
         speed = (np.linalg.norm(along, axis=1) + angle * radius) * (1.0 + 10.0 * RIGID)
         error = CONTACT_ERROR * (self._frame.scale + other._frame.scale) + 4e-15 * np.abs(center).max(initial=0.0)
         time, separation = np.zeros(len(path)), np.full(len(path), np.inf)
