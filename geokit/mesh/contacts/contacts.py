@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -29,14 +28,12 @@ if TYPE_CHECKING:
 
 __all__ = ["ContactQueries", "Contacts"]
 
-# Vertices in all poses that are placed at a time.
-PLACED = 1 << 22
+# Vertices in all poses that are placed at a time, and pairs for which there is room at first.
+PLACED, PAIRS = 1 << 22, 1 << 20
 # Share of the size within which distances are known, as in distance_kernels.
 CONTACT_ERROR = 1e-12
-# Share of a face, or of a length, below which a point is on an edge, and directions are none.
+# Share of a face that a point is away from its edges, if it is not on one.
 ON_EDGE = 1e-9
-# Along these a body is seen for the penetration depth: the faces, edges and corners of a cube.
-DIRECTIONS = unit(np.array([d for d in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(d)]))
 
 
 class Contacts(NamedTuple):
@@ -75,25 +72,22 @@ class ContactQueries(SignQueries, DistanceQueries):
         """Contacts with another surface: of each region where the two touch, are near or cross the points on both.
 
         A contact is a connected part of the pairs of points, one on each surface, that are no farther apart than the
-        margin, found in faces; and what lies inside of a closed other body, which joins the pairs around it. So four
-        legs on one face are four contacts, and a body that another one has swallowed is one.
+        margin, found in faces, with what is inside of a closed body between them. So four legs on one face are four
+        contacts, and a body that another one has swallowed is one.
 
         None is missed: whether faces touch is decided exactly for corners that were moved and rounded to float64, and
         distances are exact to 1e-12 of the size of the two. ``depths`` and ``penetrations`` are bounds that hold to
-        1e-11 of the size, by as much as the pose is off a rigid one more (up to 1e-6). From below they are depths of
-        points that were looked at: vertices, and one on each face that crosses. Inside is what :meth:`signed_distance`
-        says; bodies that are not closed (``is_closed``) have no inside. Equal in each run, with any number of threads.
+        1e-11 of the size, or by as much as the pose is off a rigid one; depths from below are those of vertices, and of
+        a point on each face that crosses. Inside is as :meth:`signed_distance` says; only closed bodies have one.
 
         Args:
             other: A surface on the same device.
             transform: Where this surface is: a rigid map or mirror for column vectors, (4, 4), or many, (B, 4, 4).
-            margin: Distance from which on surfaces are no contact [world]; 0 takes those that touch or cross.
+            margin: Distance up to which surfaces are near [world]; 0 takes those that touch or cross.
         Returns:
             Contacts, arrays of NumPy: ``offsets`` (B + 1,) and fields of K contacts.
         Raises:
-            InputError: other is not a Surface, or is on another device; units or up axes are known and differ, without
-                a transform; that is not rigid, or moves a corner beyond 1e150; margin is negative or not finite; a mesh
-                is smaller than 1e-70 or larger than 1e70.
+            InputError: As :meth:`distance`; the transform is not rigid (to 1e-6); margin is negative or not finite.
             DeviceMemoryError: There are more pairs of faces than the device can hold.
         Example:
             >>> ball = gk.mesh.Surface(gk.mesh.sphere(radius=1.0), device="cpu")
@@ -114,8 +108,7 @@ class ContactQueries(SignQueries, DistanceQueries):
         return _Regions((self, other), maps, np.repeat(np.arange(len(maps)), count), *found).answer()
 
     def _within(self, margin: float, other: Any, maps: Floats, scale: Floats) -> tuple[NDArray[Any], ...]:
-        """The number of pairs within the margin in each pose, their faces, distances, areas and points, by pose and
-        faces."""
+        """The number of pairs within the margin in each pose; their faces, distances, areas and points, by faces."""
         import warp as wp
 
         from geokit.mesh.queries.distance_kernels import list_within_kernel
@@ -124,23 +117,21 @@ class ContactQueries(SignQueries, DistanceQueries):
         poses = [self._on_device(maps[:, :3, :3], wp.mat33d), self._on_device(maps[:, :3, 3], wp.vec3d)]
         given = [self._on_device(scale, wp.float64), wp.float64(margin)]
         inputs = [leaves, self._tree, *poses, other._tree, other._slot_boxes, *given]
-        # Mostly enough; what more there is is found a second time, and listed then.
-        room = leaves * len(maps)
-        while True:
-            total = wp.zeros(1, dtype=wp.int64, device=device)
+        room, count = 0, max(min(PAIRS, 8 * leaves * len(maps)), 1)
+        # What there is no room for is counted, and found a second time.
+        while count > room:
+            room, total = count, wp.zeros(1, dtype=wp.int64, device=device)
             available_memory.require_room(76 * room, f"{room} pairs need", "ask for fewer at once", device)
-            kinds = (3, wp.int32), (2, wp.float64), (2, wp.vec3d)
-            out = [wp.empty(each * room, dtype=kind, device=device) for each, kind in kinds]
+            out = [
+                wp.empty(3 * room, dtype=wp.int32, device=device),
+                wp.empty(8 * room, dtype=wp.float64, device=device),
+            ]
             launcher.launch(list_within_kernel, leaves * len(maps), inputs, [total, *out], device, grain=LEAF_GRAIN)
             count = int(total.numpy()[0])
-            if count <= room:
-                break
-            room = count
-        tables = zip(out, ((-1, 3), (-1, 2), (-1, 2, 3)), strict=True)
-        pairs, measures, points = (each.numpy().reshape(shape)[:count] for each, shape in tables)
+        pairs, rows = out[0].numpy().reshape(-1, 3)[:count], out[1].numpy().reshape(-1, 8)[:count]
         order = np.lexsort(pairs.T[::-1])
-        in_pose, measures = np.bincount(pairs[:, 0], minlength=len(maps)), measures[order]
-        return in_pose, pairs[order, 1:], measures[:, 0], measures[:, 1], points[order]
+        in_pose, rows = np.bincount(pairs[:, 0], minlength=len(maps)), rows[order]
+        return in_pose, pairs[order, 1:], rows[:, 0], rows[:, 1], rows[:, 2:].reshape(-1, 2, 3)
 
     @cached_property
     def _shape(self) -> _Shape:
@@ -148,7 +139,7 @@ class ContactQueries(SignQueries, DistanceQueries):
 
 
 class _Shape:
-    """What contacts ask of a mesh: its distinct positions, the faces beside and around what, lengths and normals."""
+    """What contacts ask of a mesh: its distinct positions, faces beside and around what, lengths, normals."""
 
     def __init__(self, surface: Any) -> None:
         mesh, topology = surface.mesh, surface._topology
@@ -168,7 +159,6 @@ class _Shape:
         sides = np.roll(ends, -1, axis=1) - ends
         # No point of a face is farther than this from all of its corners.
         self.reach = np.linalg.norm(sides, axis=2).max(axis=1) / math.sqrt(3.0)
-        self.area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) / 2.0
         self.normals = face_normals(mesh) * surface._outward[:, None]
 
     def faces_around(self, place: Indices) -> tuple[Indices, Indices]:
@@ -226,10 +216,10 @@ class _Regions:
             np.maximum.at(depths[:, 1], self.inner_region[k][row], inner.depth[row] + shape.reach[around])
             np.maximum.at(depths[:, 1], region[met], shape.reach[self.faces[met, k]])
             # On each face that crosses, the mean of what it shares.
-            key, at = np.unique(region[met] * len(shape.area) + self.faces[met, k], return_inverse=True)
-            middle, group = np.zeros((len(key), 3)), key // len(shape.area)
+            key, at = np.unique(region[met] * len(shape.reach) + self.faces[met, k], return_inverse=True)
+            middle, group = np.zeros((len(key), 3)), key // len(shape.reach)
             np.add.at(middle, at, self.points[met, k] / np.bincount(at)[at, None])
-            found = self._sampled(k, pose[group], np.arange(len(key)), middle, key % len(shape.area))
+            found = self._sampled(k, pose[group], np.arange(len(key)), middle, key % len(shape.reach))
             samples += [(self.inner_region[k], *inner[2:]), (group[found.place], *found[2:])]
         if samples:
             of, depth, sampled, touched = (np.concatenate(each) for each in zip(*samples, strict=True))
@@ -238,11 +228,7 @@ class _Regions:
             separations[has], normals[has] = -depth[deepest], unit(points[has, 0] - points[has, 1])
         penetrations = self._penetrations(faces, normals, depths, pose[region[met]])
         depths[:, 1] = np.minimum(depths[:, 1] + self.error * (depths[:, 1] > 0.0), penetrations[pose, 1])
-        # No face counts more than whole.
-        face_area = self.shapes[0].area
-        key, at = np.unique(region * len(face_area) + self.faces[:, 0], return_inverse=True)
-        covered = np.minimum(np.bincount(at, self.area, len(key)), face_area[key % len(face_area)])
-        areas = np.bincount(key // len(face_area), covered, count).astype(np.float64)
+        areas = np.bincount(region, self.area, count).astype(np.float64)
         order = np.lexsort((*faces.T[::-1], separations, pose))
         offsets = np.searchsorted(pose[order], np.arange(len(self.maps) + 1))
         each = points[:, 0], points[:, 1], normals, separations, depths, areas, faces[:, 0], faces[:, 1]
@@ -254,9 +240,9 @@ class _Regions:
         shape, other, to_other = self.shapes[k], self.bodies[1 - k], (self.maps, self.back)[k]
         step, found = max(PLACED // len(shape.places), 1), []
         for at in range(0, len(self.maps) if other.is_closed else 0, step):
-            maps = to_other[at : at + step]
-            placed = shape.places @ maps[:, :3, :3].transpose(0, 2, 1) + maps[:, None, :3, 3]
-            found.append(((placed > other.bounds[0]) & (placed < other.bounds[1])).all(axis=2))
+            maps, (low, high) = to_other[at : at + step], other.bounds
+            placed = maps[:, :3, :3] @ shape.places.T + (maps[:, :3, 3] - (low + high) / 2.0)[:, :, None]
+            found.append((np.abs(placed) < (high - low)[:, None] / 2.0 + self.error).all(axis=1))
         pose, place = np.nonzero(np.concatenate([np.zeros((0, len(shape.places)), bool), *found]))
         points = shape.places[place] if k else _turned(self.maps[pose], shape.places[place]) + self.maps[pose, :3, 3]
         return self._sampled(k, pose, place, points, shape.around[shape.starts[place]])
@@ -295,24 +281,17 @@ class _Regions:
 
     def _normals_of(self, rows: Indices, of_0: Floats, of_1: Floats) -> Floats:
         """Normals of pairs of faces, from body 0 to body 1; those of their faces are given."""
-        maps, points = self.maps[self.pose[rows]], self.points[rows]
-        ends = [shape.places[shape.corners[self.faces[rows, k]]] for k, shape in enumerate(self.shapes)]
-        ends[0] = ends[0] @ maps[:, :3, :3].transpose(0, 2, 1) + maps[:, None, :3, 3]
-        # Whether the point is inside of its face, or on one edge; and that edge.
-        inside, on_edge, edge = [], [], []
-        for k in (0, 1):
-            away, row = ends[k] - points[:, k, None], np.arange(len(rows))
+        maps, points, inside = self.maps[self.pose[rows]], self.points[rows], []
+        for k, shape in enumerate(self.shapes):
+            ends = shape.places[shape.corners[self.faces[rows, k]]]
+            if k == 0:
+                ends = ends @ maps[:, :3, :3].transpose(0, 2, 1) + maps[:, None, :3, 3]
+            away = ends - points[:, k, None]
             weight = np.linalg.norm(np.cross(np.roll(away, -1, axis=1), np.roll(away, -2, axis=1)), axis=2)
-            small, least = weight <= ON_EDGE * weight.sum(axis=1, keepdims=True), weight.argmin(axis=1)
-            inside.append(~small.any(axis=1))
-            on_edge.append(small.sum(axis=1) == 1)
-            edge.append(unit(ends[k][row, least - 2] - ends[k][row, least - 1]))
-        across, between = np.cross(edge[0], edge[1]), of_0 - of_1
-        across[np.einsum("ij,ij->i", across, between) < 0.0] *= -1.0
-        crosses = on_edge[0] & on_edge[1] & (np.linalg.norm(across, axis=1) > ON_EDGE)
-        choices = [self.distance[rows] > self.error, inside[1], inside[0], crosses]
-        choices += [np.linalg.norm(one, axis=1) > ON_EDGE for one in (between, of_0)]
-        normals = [points[:, 1] - points[:, 0], -of_1, of_0, across, between, of_0]
+            inside.append(weight.min(axis=1) > ON_EDGE * weight.sum(axis=1))
+        between = of_0 - of_1
+        choices = [self.distance[rows] > self.error, inside[1], inside[0], np.abs(between).max(axis=1) > ON_EDGE]
+        normals = [points[:, 1] - points[:, 0], -of_1, of_0, between]
         return unit(np.select([choice[:, None] for choice in choices], normals, [0.0, 0.0, 1.0]))
 
     def _penetrations(self, faces: Any, normals: Floats, depths: Floats, met: Indices) -> Floats:
@@ -322,8 +301,8 @@ class _Regions:
         met = np.union1d(met, np.flatnonzero(found[:, 0]))
         found[met, 1] = np.inf
         own = _turned(self.maps[pose], self.shapes[0].normals[faces[:, 0]]), -self.shapes[1].normals[faces[:, 1]]
-        along = np.concatenate([normals, *own, np.tile(DIRECTIONS, (len(met), 1))])
-        of = np.concatenate([pose, pose, pose, np.repeat(met, len(DIRECTIONS))])
+        along = np.concatenate([normals, *own, np.tile([*np.eye(3), *-np.eye(3)], (len(met), 1))])
+        of = np.concatenate([pose, pose, pose, np.repeat(met, 6)])
         used = (found[of, 1] > 0.0) & along.any(axis=1)
         along, of = along[used], of[used]
         shadow = _furthest(self.shapes[0].places, _turned(self.back[of], along))

@@ -41,18 +41,16 @@ class MotionQueries(ContactQueries):
     def until_contact(
         self, other: DistanceQueries, *, motion: ArrayLike, tolerance: float | None = None
     ) -> TimeOfContact:
-        """A time before which this surface touches no other one while it moves from one pose to another.
+        """A time before which this surface does not touch the other one as it moves from one pose to another.
 
-        The center of its box (``origin``) moves along a line and the body turns about it, by less than half a turn,
-        both evenly. Nothing tunnels, however thin or fast: a step is no longer than the distance over a bound of the
-        speed of all points. The time is never later than that of the first touch but for rounding, 1e-12 of the size,
-        and it is the time at which the distance is first found to be within the tolerance; or earlier after 1000
-        steps, as along a wall. ``time`` is 1 where there is no contact.
+        The center of its box (``origin``) moves along a line while the body turns about it by less than half a turn,
+        both evenly. Nothing tunnels, however thin or fast: no step is longer than the distance over a bound of the
+        speed. The time is that at which the distance is first found within the tolerance, never later than the
+        first touch but for 1e-12 of the size; it is earlier after 1000 steps, as along a wall, and 1 without contact.
 
         Args:
             other: A surface on the same device.
-            motion: First and last pose of this surface, rigid maps for column vectors, (2, 4, 4), or of many motions,
-                (B, 2, 4, 4).
+            motion: First and last pose, rigid maps for column vectors, (2, 4, 4), or of many motions, (B, 2, 4, 4).
             tolerance: Distance that counts as contact [world], more than 0; by default 1e-6 of this surface's size.
         Returns:
             TimeOfContact with time and separation, of many motions (B,).

@@ -326,20 +326,18 @@ static constexpr auto nearest_pair = [](int item, const SurfaceTree& surface, co
 // Area of the part of t from which u is within a margin straight along the normal of t: u clipped by the sides of t and
 // by two planes along it, as seen from there. 0 of triangles without area.
 static constexpr auto area_within = [](const point* t, const point* u, double margin) OUT_OF_LINE {
-    point n = wp::cross(t[1] - t[0], t[2] - t[0]), now[8], next[8];
-    const double length = wp::length(n);
-    if (!(length > 0.0)) return 0.0;
-    n = n / length;
+    const point n = wp::normalize(wp::cross(t[1] - t[0], t[2] - t[0]));
+    point now[8], next[8];
     int count = 3;
     for (int k = 0; k < 3; ++k) now[k] = u[k] - t[0];
     for (int plane = 0; plane < 5; ++plane) {
-        const point on = plane < 3 ? t[plane] - t[0] : point();
-        const point inward = plane < 3 ? wp::cross(n, t[(plane + 1) % 3] - t[plane]) : plane == 3 ? n : -n;
+        const bool is_side = plane < 3;
+        const point inward = is_side ? wp::cross(n, t[(plane + 1) % 3] - t[plane]) : plane == 3 ? n : -n;
+        const double least = is_side ? wp::dot(inward, t[plane] - t[0]) : -margin;
         int kept = 0;
         for (int k = 0; k < count; ++k) {
             const point p = now[k], q = now[(k + 1) % count];
-            const double from = wp::dot(inward, p - on) + (plane < 3 ? 0.0 : margin);
-            const double to = wp::dot(inward, q - on) + (plane < 3 ? 0.0 : margin);
+            const double from = wp::dot(inward, p) - least, to = wp::dot(inward, q) - least;
             if (from >= 0.0) next[kept++] = p;
             if ((from >= 0.0) != (to >= 0.0) && kept < 8) next[kept++] = p + (from / (from - to)) * (q - p);
         }
@@ -352,41 +350,45 @@ static constexpr auto area_within = [](const point* t, const point* u, double ma
 };
 
 // Counts the pairs of an item in a pose, and writes those that there is room for, in any order: the pose and both
-// triangles, their distance and the area on the first one, and the nearest points [world].
+// triangles; and a row of their distance, the area on the first one, and the nearest points [world].
 static constexpr auto list_within =
     [](int row, int items, const SurfaceTree& surface, const wp::array_t<wp::mat33d>& linear,
        const wp::array_t<wp::vec3d>& shift, const SurfaceTree& tree, const wp::array_t<float>& slot_boxes,
        const wp::array_t<double>& unit, double margin, wp::array_t<wp::int64>& out_count, wp::array_t<int>& out_pairs,
-       wp::array_t<double>& out_measures, wp::array_t<wp::vec3d>& out_points) {
+       wp::array_t<double>& out_rows) {
         const int pose = row / items;
         const double scale = unit.data[pose], within = margin * scale;
         double limit = within * within;
-        visit_nearer(row % items, surface, linear.data[pose], shift.data[pose], tree, slot_boxes, scale, limit,
-                     [&](int slot, int other, const point* t, const point* u) {
-                         // Without a margin their distance says nothing more.
-                         if (limit == 0.0 && !(boxes_meet(t, u, 0.0) && triangles_meet(t, u))) return;
-                         point x, y, sum;
-                         const double squared = triangle_gap(t, u, x, y);
-                         if (!(squared <= limit)) return;
-                         const wp::int64 at = add_to(out_count, 0, (wp::int64)1);
-                         if (2 * at >= out_measures.shape[0]) return;
-                         // Of triangles that cross, the middle of what they share: it moves on as they do.
-                         double count = 0.0;
-                         if (squared == 0.0)
-                             visit_through(t, u, [&](const point& through, double off) {
-                                 if (off > CONTACT_ERROR * CONTACT_ERROR) return;
-                                 sum += through;
-                                 ++count;
-                             });
-                         if (count > 0.0) x = y = sum / count;
-                         out_pairs.data[3 * at] = pose;
-                         out_pairs.data[3 * at + 1] = surface.slot_triangle.data[slot];
-                         out_pairs.data[3 * at + 2] = tree.slot_triangle.data[other];
-                         out_measures.data[2 * at] = sqrt(squared) / scale;
-                         out_measures.data[2 * at + 1] = area_within(t, u, within + CONTACT_ERROR) / scale / scale;
-                         out_points.data[2 * at] = x / scale;
-                         out_points.data[2 * at + 1] = y / scale;
-                     });
+        auto take = [&](int slot, int other, const point* t, const point* u) {
+            // Without a margin their distance says nothing more.
+            if (limit == 0.0 && !(boxes_meet(t, u, 0.0) && triangles_meet(t, u))) return;
+            point x, y, sum;
+            const double squared = triangle_gap(t, u, x, y);
+            if (!(squared <= limit)) return;
+            const wp::int64 at = add_to(out_count, 0, (wp::int64)1);
+            if (8 * at >= out_rows.shape[0]) return;
+            // Of triangles that cross, the middle of what they share: it moves on as they do.
+            double count = 0.0;
+            auto add_point = [&](const point& through, double off) {
+                if (off > CONTACT_ERROR * CONTACT_ERROR) return;
+                sum += through;
+                ++count;
+            };
+            if (squared == 0.0) visit_through(t, u, add_point);
+            if (count > 0.0) x = y = sum / count;
+            int* const pair = out_pairs.data + 3 * at;
+            pair[0] = pose;
+            pair[1] = surface.slot_triangle.data[slot];
+            pair[2] = tree.slot_triangle.data[other];
+            double* const out = out_rows.data + 8 * at;
+            out[0] = sqrt(squared) / scale;
+            out[1] = area_within(t, u, within + CONTACT_ERROR) / scale / scale;
+            for (int k = 0; k < 3; ++k) {
+                out[2 + k] = x[k] / scale;
+                out[5 + k] = y[k] / scale;
+            }
+        };
+        visit_nearer(row % items, surface, linear.data[pose], shift.data[pose], tree, slot_boxes, scale, limit, take);
     };
 
 // Writes the nearest points of the pair of slots of a pose [world], one of each surface.
