@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import namedtuple
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -64,8 +65,46 @@ class Contacts(NamedTuple):
     penetrations: NDArray[np.float64]
 
 
+# Points of a body that are inside of the other one. Of ``points``, (N, 2, 3), of body 0 and of body 1, one is the
+# sample, the other one the nearest to it.
+_Samples = namedtuple("_Samples", "pose place depth points faces")
+
+
+class _Shape:
+    """What contacts ask of a mesh: its distinct positions, faces beside and around what, lengths, normals."""
+
+    def __init__(self, surface: Any) -> None:
+        mesh, topology = surface.mesh, surface._topology
+        edges, kept = topology.edges, np.flatnonzero(~topology.collapsed)
+        # Positions that no face uses are left out.
+        used, corner = np.unique(topology.corners, return_inverse=True)
+        self.corners, self.places = corner.reshape(-1, 3), np.empty((len(used), 3))
+        self.places[corner.ravel()] = mesh.vertices[mesh.faces.ravel()]
+        # The next face around each edge; at a border the face itself.
+        following = np.arange(1, len(edges.order) + 1)
+        following[edges.starts + edges.uses - 1] = edges.starts
+        self.beside = np.tile(np.arange(mesh.face_count)[:, None], 3)
+        self.beside[kept[edges.order // 3], edges.order % 3] = kept[edges.order[following] // 3]
+        by_place = np.argsort(self.corners.ravel(), kind="stable")
+        self.around = by_place // 3
+        self.starts = np.searchsorted(self.corners.ravel()[by_place], np.arange(len(self.places) + 1))
+        ends = self.places[self.corners]
+        sides = np.roll(ends, -1, axis=1) - ends
+        # No point of a face is farther than this from all of its corners.
+        self.reach = np.linalg.norm(sides, axis=2).max(axis=1) / math.sqrt(3.0)
+        self.normals = face_normals(mesh) * surface._outward[:, None]
+
+    def faces_around(self, place: Indices) -> tuple[Indices, Indices]:
+        """The rows of ``place``, each as often as it has faces, and these faces."""
+        begin, count = self.starts[place], self.starts[place + 1] - self.starts[place]
+        row = np.repeat(np.arange(len(place)), count)
+        return row, self.around[np.arange(len(row)) + (begin - np.cumsum(count) + count)[row]]
+
+
 class ContactQueries(SignQueries, DistanceQueries):
     """Contacts of a :class:`geokit.mesh.Surface` with others."""
+
+    _shape = cached_property(_Shape)
 
     @query(memory=lambda self, other, **_: 450 * (self.mesh.face_count + other.mesh.face_count))
     def contacts(self, other: DistanceQueries, *, transform: ArrayLike | None = None, margin: float = 0.0) -> Contacts:
@@ -122,60 +161,13 @@ class ContactQueries(SignQueries, DistanceQueries):
         while count > room:
             room, total = count, wp.zeros(1, dtype=wp.int64, device=device)
             available_memory.require_room(76 * room, f"{room} pairs need", "ask for fewer at once", device)
-            out = [
-                wp.empty(3 * room, dtype=wp.int32, device=device),
-                wp.empty(8 * room, dtype=wp.float64, device=device),
-            ]
+            out = [wp.empty(n * room, dtype=kind, device=device) for n, kind in ((3, wp.int32), (8, wp.float64))]
             launcher.launch(list_within_kernel, leaves * len(maps), inputs, [total, *out], device, grain=LEAF_GRAIN)
             count = int(total.numpy()[0])
         pairs, rows = out[0].numpy().reshape(-1, 3)[:count], out[1].numpy().reshape(-1, 8)[:count]
         order = np.lexsort(pairs.T[::-1])
         in_pose, rows = np.bincount(pairs[:, 0], minlength=len(maps)), rows[order]
         return in_pose, pairs[order, 1:], rows[:, 0], rows[:, 1], rows[:, 2:].reshape(-1, 2, 3)
-
-    @cached_property
-    def _shape(self) -> _Shape:
-        return _Shape(self)
-
-
-class _Shape:
-    """What contacts ask of a mesh: its distinct positions, faces beside and around what, lengths, normals."""
-
-    def __init__(self, surface: Any) -> None:
-        mesh, topology = surface.mesh, surface._topology
-        edges, kept = topology.edges, np.flatnonzero(~topology.collapsed)
-        self.corners = topology.corners
-        self.places = np.empty((topology.position_count, 3))
-        self.places[self.corners.ravel()] = mesh.vertices[mesh.faces.ravel()]
-        # The next face around each edge; at a border the face itself.
-        following = np.arange(1, len(edges.order) + 1)
-        following[edges.starts + edges.uses - 1] = edges.starts
-        self.beside = np.tile(np.arange(mesh.face_count)[:, None], 3)
-        self.beside[kept[edges.order // 3], edges.order % 3] = kept[edges.order[following] // 3]
-        by_place = np.argsort(self.corners.ravel(), kind="stable")
-        self.around = by_place // 3
-        self.starts = np.searchsorted(self.corners.ravel()[by_place], np.arange(len(self.places) + 1))
-        ends = self.places[self.corners]
-        sides = np.roll(ends, -1, axis=1) - ends
-        # No point of a face is farther than this from all of its corners.
-        self.reach = np.linalg.norm(sides, axis=2).max(axis=1) / math.sqrt(3.0)
-        self.normals = face_normals(mesh) * surface._outward[:, None]
-
-    def faces_around(self, place: Indices) -> tuple[Indices, Indices]:
-        """The rows of ``place``, each as often as it has faces, and these faces."""
-        begin, count = self.starts[place], self.starts[place + 1] - self.starts[place]
-        row = np.repeat(np.arange(len(place)), count)
-        return row, self.around[np.arange(len(row)) + (begin - np.cumsum(count) + count)[row]]
-
-
-class _Samples(NamedTuple):
-    """Points of a body that are inside of the other one."""
-
-    pose: Indices
-    place: Indices
-    depth: Floats
-    points: Floats  # of body 0 and of body 1: one is the sample, the other one the nearest to it
-    faces: Indices
 
 
 class _Regions:
@@ -305,7 +297,7 @@ class _Regions:
         of = np.concatenate([pose, pose, pose, np.repeat(met, 6)])
         used = (found[of, 1] > 0.0) & along.any(axis=1)
         along, of = along[used], of[used]
-        shadow = _furthest(self.shapes[0].places, _turned(self.back[of], along))
+        shadow = _furthest(self.shapes[0].places, _turned(self.maps[of].swapaxes(1, 2), along))
         shadow += _furthest(self.shapes[1].places, -along) + np.einsum("ij,ij->i", along, self.maps[of, :3, 3])
         np.minimum.at(found[:, 1], of, shadow)
         found[met, 1] = np.maximum(found[met, 1], 0.0) + self.error

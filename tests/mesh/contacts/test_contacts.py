@@ -219,11 +219,16 @@ def test_depths_bound_what_is_inside():
             assert found.separations.min() < 0.0
 
 
-def test_soups_and_updates():
+def test_soups_loose_vertices_and_updates():
     body = box(2, 2, 2)
     soup = surface(gk.mesh.TriangleMesh(body.vertices[body.faces].reshape(-1, 3), np.arange(36).reshape(-1, 3)))
     floor = surface(box(8, 8, 2, at=(0, 0, -1)))
     assert of(soup, floor, moved([0, 0, 0.75])).separations == pytest.approx([-0.25])
+    loose = gk.mesh.TriangleMesh(np.concatenate([[[0, 0, -1.5]], body.vertices, [[0, 0, -9]]]), body.faces + 1)
+    found = of(surface(loose), floor, moved([0, 0, 0.75]))
+    assert found.separations == pytest.approx([-0.25])
+    assert found.penetrations[0] == pytest.approx([0.25, 0.25], abs=1e-11)
+    assert len(of(surface(loose), floor, moved([0, 0, 1.75])).points) == 0
     floor.update(floor.mesh.vertices - [0, 0, 1])
     assert of(soup, floor, moved([0, 0, 0.75])).separations.tolist() == []
     assert of(soup, floor, moved([0, 0, 0.75]), margin=1.0).separations == pytest.approx([0.75])
