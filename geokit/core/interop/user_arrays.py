@@ -208,7 +208,8 @@ def same_rows(values: Sequence[Any], names: Sequence[str]) -> list[Any]:
         return list(values)
     found = {name: points_of(v, name) for name, v in zip(names, values, strict=True)}
     tables = {name: v if is_exporter(v) else read_array(v, name) for name, v in found.items()}
-    return list(broadcast_rows(tables).values())
+    # What has nothing but an interface has no shape before it is read, and no single row.
+    return list((tables | broadcast_rows({name: v for name, v in tables.items() if hasattr(v, "shape")})).values())
 
 
 def read_numbers(values: Any, name: str) -> np.ndarray:
