@@ -65,7 +65,7 @@ class MotionQueries(ContactQueries):
             >>> wall = gk.mesh.Surface(gk.mesh.box(size=(0.001, 9, 9)), device="cpu")
             >>> path = np.stack([np.eye(4), np.eye(4)])
             >>> path[:, 0, 3] = [-11, 9]
-            >>> round(ball.until_contact(wall, motion=path).time, 5)
+            >>> round(ball.until_contact(wall, motion=path).time, 3)
             0.5
         """
         given: Any = read_array(motion, "motion", np.float64)
