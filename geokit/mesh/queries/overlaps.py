@@ -216,7 +216,7 @@ class OverlapQueries:
         leaf."""
         import warp as wp
 
-        from geokit.mesh.bvh.box_walk_kernels import slot_boxes_kernel
+        from geokit.mesh.bvh.tree_kernels import slot_boxes_kernel
 
         slots = len(self._tree.slot_triangle) if self._device.is_cpu else 0
         boxes = wp.empty(6 * slots, dtype=wp.float32, device=self._device)

@@ -6,8 +6,7 @@ import warp as wp
 
 from geokit.core import cpp
 from geokit.core.atomic_kernels import lower_to
-from geokit.mesh.bvh.box_walk_kernels import BOX_CONSTANTS
-from geokit.mesh.bvh.tree_kernels import SurfaceTree
+from geokit.mesh.bvh.tree_kernels import BOX_CONSTANTS, SurfaceTree
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 

@@ -212,7 +212,7 @@ class Topology:
 
     def _fans_by_kernel(self, first: NDArray[np.int32]) -> NDArray[np.int32]:
         """Number of corners in the fan that contains each position's first corner."""
-        from geokit.mesh.topology.fans_kernels import fan_kernel
+        from geokit.mesh.topology.connectivity_kernels import fan_kernel
 
         seen = np.empty(self.position_count, np.int32)
         inputs = [HostArray(first), HostArray(self._links())]
@@ -332,7 +332,7 @@ def connected_components(count: int, one: NDArray[Any], other: NDArray[Any]) -> 
 
 
 def _components_by_kernel(count: int, one: NDArray[Any], other: NDArray[Any]) -> NDArray[np.int32]:
-    from geokit.mesh.topology.components_kernels import join_kernel, lowest_kernel
+    from geokit.mesh.topology.connectivity_kernels import join_kernel, lowest_kernel
 
     device = launcher.resolve_device("cpu")
     forest = np.arange(count, dtype=np.int32)

@@ -197,7 +197,7 @@ class AdaptiveSDF:
     def _answer(self, points: Any, device: Any, *, gradient: bool) -> Any:
         import warp as wp
 
-        from geokit.volume.adaptive import sample_kernels, stencil_kernels
+        from geokit.volume.adaptive import sample_kernels
 
         target = launcher.resolve_device(device)
         is_plain = self.order == 1 and set(self.codecs) == {"float"}
@@ -214,7 +214,7 @@ class AdaptiveSDF:
             choices = sample_kernels.SAMPLE_CPU if grouped else sample_kernels.SAMPLE_CUDA
             kinds, outside = (wp.float32, wp.float64), wp.float64(self.levels[0].info.background)
         if not is_plain:
-            choices = stencil_kernels.STENCILS[self.order][gradient]
+            choices = sample_kernels.STENCILS[self.order][gradient]
         out = user_arrays.empty(count, kinds[0] if batch.is_float32 else kinds[1], batch.rows)
         bad = host_flags(1, target)
         inputs = [table.levels, batch.rows, *world_to_index(self.levels[0]), outside]
