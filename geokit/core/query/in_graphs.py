@@ -17,6 +17,7 @@ import numpy as np
 from geokit.core import launcher
 from geokit.core.base.object_cache import ObjectCache
 from geokit.core.base.query import Query
+from geokit.core.interop.objects import getattr_or_none
 from geokit.core.launches import captured
 from geokit.core.launches.prepared import PLAIN
 from geokit.errors import InputError
@@ -64,8 +65,9 @@ def answer(query: Query, search: Callable[..., Any], given: tuple[Any, ...], opt
 
 def _kind_of(value: Any) -> Hashable:
     """What two calls have in common in an argument: the type and shape of an array, the value of a plain option."""
-    if hasattr(value, "dtype") and hasattr(value, "shape"):
-        return type(value), tuple(value.shape), str(value.dtype)
+    shape = getattr_or_none(value, "shape")
+    if isinstance(shape, tuple):
+        return type(value), str(shape), str(getattr_or_none(value, "dtype"))
     return type(value), value if type(value) in PLAIN else id(value)
 
 
