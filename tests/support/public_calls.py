@@ -214,6 +214,7 @@ def _mesh_calls(s: Scene) -> Iterator[Call]:
     yield Call("mesh.merge_vertices", m.merge_vertices, {"mesh": s.mesh})
     yield Call("mesh.drop_degenerate", m.drop_degenerate, {"mesh": s.mesh})
     yield Call("mesh.fill_holes", m.fill_holes, {"mesh": s.mesh, "max_width": 1.0})
+    yield Call("mesh.fill_holes(fair)", m.fill_holes, {"mesh": s.mesh, "max_width": 1.0, "fair": True})
     yield Call("mesh.repair", m.repair, {"mesh": s.mesh, "tolerance": 0.01, "max_width": 1.0})
     yield Call("mesh.remove_self_intersections", m.remove_self_intersections, {"mesh": s.mesh, "rings": 4})
     yield Call("mesh.hausdorff", m.hausdorff, {"a": s.mesh, "b": s.other, "samples": 50, **cpu})
