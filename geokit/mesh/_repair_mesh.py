@@ -39,7 +39,7 @@ class Repaired(NamedTuple):
     holes: FilledHoles
 
 
-@needs()
+@needs(lambda mesh, tolerance=0.0, **_: 460 * mesh.face_count + (48 << 20) * (tolerance > 0.0), late=True)
 def repair(mesh: MeshLike, *, tolerance: float = 0.0, max_width: float = math.inf, fair: bool = False) -> Repaired:
     """Merge vertices, drop faces that are none, wind faces alike, and fill holes.
 
