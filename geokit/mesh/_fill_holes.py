@@ -28,6 +28,9 @@ from geokit.mesh.topology.rims import Rims, edges_within, find_rims
 
 __all__ = ["FilledHoles", "fill_holes", "rim_points", "unclashing", "with_patches"]
 
+Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
 # Points of a rim whose distances are all measured.
 MOST_PAIRED = 512
 # Where triangles clash with others, the least area without them is tried so many times.
@@ -119,9 +122,7 @@ def fill_holes(mesh: MeshLike, *, max_width: float = math.inf, fair: bool = Fals
     return FilledHoles(wound, of_face, width, center, filled, faired)
 
 
-def rim_points(
-    mesh: TriangleMesh, rims: Rims, corner: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def rim_points(mesh: TriangleMesh, rims: Rims, corner: Indices) -> tuple[Floats, Floats, Floats]:
     """Points of rims in units of their width (R, 3), widths [world] (H,), means of the points [world] (H, 3).
 
     ``corner`` is the corner of the mesh where each half-edge of the rims starts (R,).
@@ -138,14 +139,14 @@ def rim_points(
 def unclashing(
     mesh: TriangleMesh,
     rims: Rims,
-    points: NDArray[np.float64],
+    points: Floats,
     wanted: NDArray[np.bool_],
-    width: NDArray[np.float64],
-    corner: NDArray[np.int64],
-    fixed: tuple[NDArray[np.int64], NDArray[np.float64]],
+    width: Floats,
+    corner: Indices,
+    fixed: tuple[Indices, Floats],
     source: Surface | None = None,
     gone: NDArray[np.bool_] | None = None,
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+) -> tuple[Indices, Indices]:
     """Triangles as rows of the rims (T, 3), and the hole of each (T,); none that clashes with faces of the mesh.
 
     ``points``, ``width`` and ``corner`` are those of :func:`rim_points`, ``fixed`` are edges and normals as in
@@ -166,7 +167,7 @@ def unclashing(
     return rows, hole
 
 
-def _width(points: NDArray[np.float64]) -> float:
+def _width(points: Floats) -> float:
     """The largest distance between two points."""
     if len(points) > MOST_PAIRED:
         cloud = TriangleMesh(points, np.arange(len(points))[:, None].repeat(3, axis=1))
@@ -175,11 +176,7 @@ def _width(points: NDArray[np.float64]) -> float:
 
 
 def with_patches(
-    mesh: TriangleMesh,
-    corners: NDArray[np.int64],
-    beside: NDArray[np.int64],
-    hole: NDArray[np.int64],
-    faces: NDArray[np.int64] | None = None,
+    mesh: TriangleMesh, corners: Indices, beside: Indices, hole: Indices, faces: Indices | None = None
 ) -> tuple[TriangleMesh, NDArray[np.int32]]:
     """The mesh with patches, and the hole of each face (F,).
 
@@ -202,12 +199,8 @@ def with_patches(
 
 
 def _faired(
-    mesh: TriangleMesh,
-    whole: MeshTopology,
-    corners: NDArray[np.int64],
-    hole: NDArray[np.int64],
-    width: NDArray[np.float64],
-) -> tuple[TriangleMesh, NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
+    mesh: TriangleMesh, whole: MeshTopology, corners: Indices, hole: Indices, width: Floats
+) -> tuple[TriangleMesh, Indices, Indices, Indices, NDArray[np.bool_]]:
     """Patches as for :func:`with_patches`, made fair where they clash with nothing.
 
     Returns:
@@ -226,9 +219,8 @@ def _faired(
     source = Surface(TriangleMesh(vertices, mesh.faces), device="cpu")
     faired = np.isin(np.arange(len(width)), fair[:, 0, 2])
     while True:
-        faces, corners, hole = np.moveaxis(
-            np.concatenate([plain[~faired[plain[:, 0, 2]]], fair[faired[fair[:, 0, 2]]]]), 2, 0
-        )
+        table = np.concatenate([plain[~faired[plain[:, 0, 2]]], fair[faired[fair[:, 0, 2]]]])
+        faces, corners, hole = np.moveaxis(table, 2, 0)
         wrong = faces_without_area(TriangleMesh(vertices, faces))
         wrong[_clashing(source, faces, hole[:, 0], np.where(faired, width, 0.0), None)] = True
         if not faired[hole[wrong]].any():
@@ -242,12 +234,8 @@ def _faired(
 
 
 def _clashing(
-    source: Surface,
-    faces: NDArray[np.int32],
-    hole: NDArray[np.int64],
-    width: NDArray[np.float64],
-    gone: NDArray[np.bool_] | None,
-) -> NDArray[np.int64]:
+    source: Surface, faces: NDArray[np.int32], hole: Indices, width: Floats, gone: NDArray[np.bool_] | None
+) -> Indices:
     """Patches' faces that intersect or repeat others, or give an edge a third face; of two that of the wider patch."""
     made = Surface(TriangleMesh(source.mesh.vertices, faces), device="cpu")
     touched = np.unique(made.intersecting_triangles(source)[:, 1])

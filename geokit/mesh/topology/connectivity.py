@@ -186,16 +186,13 @@ class Topology:
     def split_vertices(self) -> NDArray[np.int64]:
         """Positions whose faces do not form a single fan, ascending.
 
-        A fan is a sequence of faces around the position, each joined to the next by an edge of exactly two faces; it
-        may be open or closed.
+        A fan is a sequence of faces around the position, open or closed, joined by edges of exactly two faces each.
         """
         one, other = self.pairs
-        start, end = next_half_edge(other), other
-        if not self.oriented:
-            start, end = np.where(self.opposed, (start, end), (end, start))
+        along = next_half_edge(other)
+        start, end = np.where(self.opposed, (along, other), (other, along))
         fan = connected_components(len(self.order), np.append(one, next_half_edge(one)), np.append(start, end))
-        fans = np.bincount(self.start[fan == np.arange(len(fan))], minlength=self.position_count)
-        return np.flatnonzero(fans > 1)
+        return np.flatnonzero(np.bincount(self.start[fan == np.arange(len(fan))]) > 1)
 
     def piece_count(self, collapsed: NDArray[np.int32]) -> int:
         """Number of components that share no position; ``collapsed`` adds those of faces with two equal corners."""

@@ -21,10 +21,8 @@ MOST_FACES = 1 << 17
 ROUNDS = 50
 # Normals and weights are those of the surface before, so it is made so many times: half a sphere takes five.
 SOLVES = 6
-# Weights of edges, and areas at points where all is about 1 wide: what is beyond is that of needles.
-LIGHTEST, HEAVIEST, LEAST_AREA = 1e-3, 50.0, 1e-30
-# Cotangents of angles of half a turn together differ from 0 by rounding.
-FLAT = 1e-9
+# Weights of edges, areas at points (all is about 1 wide), sums of cotangents: beyond are those of needles, or rounding.
+LIGHTEST, HEAVIEST, LEAST_AREA, FLAT = 1e-3, 50.0, 1e-30, 1e-9
 
 
 def fair_patches(
@@ -44,9 +42,7 @@ def fair_patches(
         Liepa, Filling holes in meshes (2003), for the points. Schneider and Kobbelt, Geometric fairing of irregular
         meshes for free-form surface design (2001), for the surface. Differs: least squares at the points of rims too.
     """
-    is_rim, fixed = np.zeros(len(points), bool), len(points)
-    is_rim[patch[..., 0]] = True
-    ring = topology.faces[is_rim[topology.faces].any(axis=1)]
+    ring, fixed = topology.faces[np.isin(topology.faces, patch[..., 0]).any(axis=1)], len(points)
     start, end = ring.reshape(-1), ring[:, (1, 2, 0)].reshape(-1)
     ends, length = np.append(start, end), np.tile(np.linalg.norm(points[start] - points[end], axis=1), 2)
     size = np.bincount(ends, length, fixed) / np.maximum(np.bincount(ends, minlength=fixed), 1)
@@ -122,8 +118,8 @@ def _evenly_curved(points: NDArray[np.float64], faces: NDArray[np.int64], fixed:
     if not len(free):
         return points
     factors = partial(linalg.splu, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-    curvature = np.where(whole, ((laplacian @ points) * normals).sum(axis=1) / area, 0.0)
-    curvature[free] = 0.0
+    curvature = ((laplacian @ points) * normals).sum(axis=1) / area
+    curvature[~whole | (np.arange(count) >= fixed)] = 0.0
     curvature[free] = -factors(laplacian[free][:, free].tocsc()).solve(laplacian[free] @ curvature)
     found = points.copy()
     found[free] = 0.0
