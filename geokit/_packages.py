@@ -50,6 +50,7 @@ PACKAGES: dict[str, Package] = {
     "collada": Package("pycollada", "a .dae file", extra="dae"),
     "ufbx": Package("ufbx", "an .fbx file", extra="fbx"),
     "OCP": Package("cadquery-ocp-novtk", "a .step, .stp, .iges or .igs file", extra="cad"),
+    "scipy": Package("scipy", "a fair patch of a hole", extra="fair"),
     "distributed": Package("distributed", "a Dask cluster", extra="dask"),
     "dask": Package("dask", "a query of a dask array", extra="dask"),
     "nibabel": Package("nibabel", "a .nii or .nii.gz file", extra="medical"),

@@ -28,8 +28,8 @@ BASE = {re.split(r"[<>=\[; ]", line)[0] for line in PROJECT["dependencies"]}
 EXTRAS = PROJECT["optional-dependencies"]
 # Of developers, not of users.
 INTERNAL = {"test", "test-torch", "dev", "docs", "bench"}
-# No file formats, so not in "all": gradients, which take gigabytes, and clusters.
-LIBRARIES = {"torch", "jax", "dask"}
+# No file formats, so not in "all": gradients, which take gigabytes, clusters, and smooth patches.
+LIBRARIES = {"torch", "jax", "dask", "fair"}
 # A format whose library takes hundreds of megabytes.
 LARGE = {"cad"}
 

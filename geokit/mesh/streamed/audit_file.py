@@ -28,7 +28,7 @@ from geokit.mesh.topology.audit import (
     audit_topology,
     diagonal_of,
 )
-from geokit.mesh.topology.connectivity import connected_components, mesh_topology
+from geokit.mesh.topology.connectivity import connected_components, mesh_topology, next_half_edge
 from geokit.mesh.topology.doubled_faces import back_to_back_pairs
 from geokit.mesh.topology.measures import measure_faces
 
@@ -145,8 +145,7 @@ class _Sums:
             return here[np.take_along_axis(ends, rank[ends].argmin(axis=1)[:, None], axis=1)[:, 0]]
 
         half_edge = topology.order[topology.starts]
-        following = half_edge + np.where(half_edge % 3 == 2, -2, 1)
-        edges = is_here(np.stack([topology.start[half_edge], topology.start[following]], axis=1))
+        edges = is_here(topology.start[np.stack([half_edge, next_half_edge(half_edge)], axis=1)])
         self._edge_count += int(np.count_nonzero(edges))
         self._boundary += int(np.count_nonzero(edges & (topology.uses == 1)))
         self._non_manifold += int(np.count_nonzero(edges & (topology.uses > 2)))
