@@ -6,11 +6,9 @@ import numpy as np
 import warp as wp
 
 from geokit.core import cpp
-from geokit.mesh.bvh.bvh2_cuda_kernels import NODE_CONSTANTS
-from geokit.mesh.bvh.bvh8_build_cpu_kernels import STACK
 from geokit.mesh.bvh.closest_on_triangle_kernels import SLIVER_SINE_SQUARED, closest_on_triangle, offset_from_triangle
 from geokit.mesh.bvh.leaf_planes_kernels import PLANE_ROWS
-from geokit.mesh.bvh.tree_kernels import BOX_PADDING, SurfaceTree
+from geokit.mesh.bvh.tree_kernels import BOX_CONSTANTS, BOX_PADDING, SurfaceTree
 
 wp.set_module_options({"enable_backward": False})
 
@@ -28,7 +26,7 @@ CPU_CANDIDATES = 64
 CUDA_CANDIDATES = 8
 
 _CONSTANTS = {
-    **NODE_CONSTANTS,
+    **BOX_CONSTANTS,
     "SLIVER_SINE_SQUARED": SLIVER_SINE_SQUARED,
     "DISTANCE_ERROR": DISTANCE_ERROR,
     "FAR": FAR,
@@ -37,7 +35,6 @@ _CONSTANTS = {
     "CPU_CANDIDATES": CPU_CANDIDATES,
     "CUDA_CANDIDATES": CUDA_CANDIDATES,
     "PLANE_ROWS": PLANE_ROWS,
-    "STACK": STACK,
 }
 
 
