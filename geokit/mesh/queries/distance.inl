@@ -1,7 +1,8 @@
 // The nearest pair of triangles of two surfaces, and the points of theirs that are nearest to each other.
 //
 // Triangles that do not meet are nearest at a vertex of one and a point of the other, or inside an edge of each.
-#include "mesh/bvh/box_walk.inl"
+#include "core/simd.inl"
+#include "mesh/bvh/bvh2.inl"
 #include "mesh/bvh/closest_on_triangle.inl"
 #include "mesh/queries/triangle_pair.inl"
 
@@ -97,15 +98,20 @@ static constexpr auto nearest_pair = [](int item, const SurfaceTree& surface, co
     const wp::array_t<int>& slot_triangle = surface.slot_triangle;
     double best = limit, reach = 0.0, far = 0.0;
     int winner = -1, winner_other = -1;
-    point moved[AT_ONCE][3];
+#if defined(__CUDA_ARCH__)
+    const int width = 1;
+#else
+    const int width = 8;
+#endif
+    point moved[width][3];
     // Boxes in the tree's local frame.
-    double lows[AT_ONCE][3], highs[AT_ONCE][3], low[3], high[3];
+    double lows[width][3], highs[width][3], low[3], high[3];
     for (int k = 0; k < 3; ++k) {
         low[k] = INFINITY;
         high[k] = -INFINITY;
     }
-    for (int lane = 0; lane < AT_ONCE; ++lane) {
-        const int slot = AT_ONCE * item + lane;
+    for (int lane = 0; lane < width; ++lane) {
+        const int slot = width * item + lane;
         point* const p = moved[lane];
         for (int k = 0; k < 3; ++k) p[k] = wp::mul(linear, surface.corners.data[3 * slot + k]) + shift;
         for (int k = 0; k < 3; ++k) {
@@ -155,7 +161,7 @@ static constexpr auto nearest_pair = [](int item, const SurfaceTree& surface, co
         if (triangle < 0 || another < 0) return;
         point t[3], u[3], x, y;
         for (int k = 0; k < 3; ++k) {
-            t[k] = moved[slot - AT_ONCE * item][k] * unit;
+            t[k] = moved[slot - width * item][k] * unit;
             u[k] = tree.corners.data[3 * other + k] * unit;
         }
         if (surely_farther(t, u)) return;
@@ -173,17 +179,55 @@ static constexpr auto nearest_pair = [](int item, const SurfaceTree& surface, co
     };
     update_reach();
 #if defined(__CUDA_ARCH__)
-    auto visit = [&](int other) {
-        double lower[3], upper[3];
-        const point* p = tree.corners.data + 3 * other;
-        for (int k = 0; k < 3; ++k) {
-            lower[k] = (wp::min(wp::min(p[0][k], p[1][k]), p[2][k]) - tree.origin[k]) / tree.scale;
-            upper[k] = (wp::max(wp::max(p[0][k], p[1][k]), p[2][k]) - tree.origin[k]) / tree.scale;
-        }
-        const double gap = squared_gap(low, high, lower[0], lower[1], lower[2], upper[0], upper[1], upper[2]);
-        if (gap <= reach) evaluate(item, other);
+    auto gap_of = [&](double lx, double ly, double lz, double ux, double uy, double uz) {
+        const double x = wp::max(wp::max(lx - high[0], low[0] - ux), 0.0),
+                     y = wp::max(wp::max(ly - high[1], low[1] - uy), 0.0),
+                     z = wp::max(wp::max(lz - high[2], low[2] - uz), 0.0);
+        return x * x + y * y + z * z;
     };
+    int stack[64], depth = 0, node = tree.children.data[0];
+    double entry[64];
+    while (true) {
+        if (node >= 0) {
+            const Node n = load_node(tree.boxes.data, node);
+            const double dl = gap_of(n.lx, n.ly, n.lz, n.lX, n.lY, n.lZ),
+                         dr = gap_of(n.rx, n.ry, n.rz, n.rX, n.rY, n.rZ);
+            const bool left_first = dl <= dr;
+            if ((left_first ? dr : dl) <= reach) {
+                stack[depth] = left_first ? n.right : n.left;
+                entry[depth++] = left_first ? dr : dl;
+            }
+            node = left_first ? n.left : n.right;
+            if ((left_first ? dl : dr) <= reach) continue;
+        } else {
+            for (int other = first_slot(node); other < end_slot(node); ++other) {
+                double lower[3], upper[3];
+                const point* p = tree.corners.data + 3 * other;
+                for (int k = 0; k < 3; ++k) {
+                    lower[k] = (wp::min(wp::min(p[0][k], p[1][k]), p[2][k]) - tree.origin[k]) / tree.scale;
+                    upper[k] = (wp::max(wp::max(p[0][k], p[1][k]), p[2][k]) - tree.origin[k]) / tree.scale;
+                }
+                if (gap_of(lower[0], lower[1], lower[2], upper[0], upper[1], upper[2]) <= reach) evaluate(item, other);
+            }
+        }
+        do --depth;
+        while (depth >= 0 && entry[depth] > reach);
+        if (depth < 0) break;
+        node = stack[depth];
+    }
 #else
+    // Squared distance of eight boxes, given as six rows, from one.
+    auto gap_of = [&](const float* rows, const double* lower, const double* upper) {
+        const d8 zero = 0.0;
+        d8 sum = 0.0;
+        for (int k = 0; k < 3; ++k) {
+            const d8 from = __builtin_convertvector(*(const v8*)(rows + 8 * k), d8),
+                     to = __builtin_convertvector(*(const v8*)(rows + 24 + 8 * k), d8);
+            const d8 gap = __builtin_elementwise_max(__builtin_elementwise_max(from - upper[k], lower[k] - to), zero);
+            sum += gap * gap;
+        }
+        return sum;
+    };
     // As surely_farther, by the line of centers, for a triangle and the eight of a block, whose corners are given axis by
     // axis: a bit for each.
     auto all_farther = [&](const point* t, const d8(*u)[3]) {
@@ -208,24 +252,50 @@ static constexpr auto nearest_pair = [](int item, const SurfaceTree& surface, co
         const d8 gap = below - above - 1e-14 * __builtin_elementwise_sqrt(length) * size;
         return mask_of((gap > 0.0) & (gap * gap > best * (1.0 + 1e-12) * length));
     };
-    auto visit = [&](int first) {
-        d8 u[3][3];
-        for (int j = 0; j < 8; ++j)
-            for (int k = 0; k < 9; ++k) u[k / 3][k % 3][j] = tree.corners.data[3 * (first + j) + k / 3][k % 3] * unit;
-        for (int lane = 0; lane < 8; ++lane) {
-            if (slot_triangle.data[8 * item + lane] < 0) continue;
-            const d8 gap = squared_gap(lows[lane], highs[lane], slot_boxes.data + 6 * first);
-            unsigned mask = mask_of(gap <= reach);
-            if (!mask) continue;
-            const point t[3] = {moved[lane][0] * unit, moved[lane][1] * unit, moved[lane][2] * unit};
-            for (mask &= ~all_farther(t, u); mask; mask &= mask - 1) {
-                const int j = __builtin_ctz(mask);
-                if (gap[j] <= reach) evaluate(8 * item + lane, first + j);
+    int stack[STACK], height = 1;
+    double entry[STACK];
+    stack[0] = 0;
+    entry[0] = 0.0;
+    while (height > 0) {
+        --height;
+        if (entry[height] > reach) continue;
+        const int node = stack[height];
+        if (node < 0) {
+            const int first = 8 * (-1 - node);
+            d8 u[3][3];
+            for (int j = 0; j < 8; ++j)
+                for (int k = 0; k < 9; ++k)
+                    u[k / 3][k % 3][j] = tree.corners.data[3 * (first + j) + k / 3][k % 3] * unit;
+            for (int lane = 0; lane < 8; ++lane) {
+                if (slot_triangle.data[8 * item + lane] < 0) continue;
+                const d8 gap = gap_of(slot_boxes.data + 6 * first, lows[lane], highs[lane]);
+                unsigned mask = mask_of(gap <= reach);
+                if (!mask) continue;
+                const point t[3] = {moved[lane][0] * unit, moved[lane][1] * unit, moved[lane][2] * unit};
+                for (mask &= ~all_farther(t, u); mask; mask &= mask - 1) {
+                    const int j = __builtin_ctz(mask);
+                    if (gap[j] <= reach) evaluate(8 * item + lane, first + j);
+                }
             }
+            continue;
         }
-    };
+        const float* rows = tree.boxes.data + 48 * node;
+        const d8 gap = gap_of(rows, low, high);
+        const int base = height;
+        for (unsigned mask = mask_of(gap <= reach); mask; mask &= mask - 1) {
+            const int j = __builtin_ctz(mask);
+            if (rows[j] > rows[24 + j]) continue;  // no child
+            const double d = gap[j];
+            int at = height++;
+            for (; at > base && entry[at - 1] < d; --at) {
+                entry[at] = entry[at - 1];
+                stack[at] = stack[at - 1];
+            }
+            entry[at] = d;
+            stack[at] = tree.children.data[8 * node + j];
+        }
+    }
 #endif
-    walk_nearest(tree, low, high, reach, visit);
     out_squared.data[out_row] = winner < 0 ? (double)INFINITY : best;
     out_slots.data[2 * out_row] = winner;
     out_slots.data[2 * out_row + 1] = winner_other;
