@@ -1,10 +1,14 @@
-"""Pairs of intersecting triangles: their number for each leaf, then the list; which of many meshes have any."""
+"""Pairs of intersecting triangles: their number for each leaf, then the list; which of many meshes have any.
+
+Triangles that intersect boxes: first their number for each box, then the list.
+"""
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp
+from geokit.core.atomic_kernels import lower_to
 from geokit.core.scan_kernels import part_of
 from geokit.mesh.bvh.tree_kernels import BOX_CONSTANTS, SurfaceTree, slot_box
 
@@ -22,7 +26,8 @@ PARTS = 192
 # Cosine from which on two faces face each other: 26 degrees from opposed. It is a guess: walls rough within the margin
 # touch at other angles too. So it only saves work, and what is made is judged all the same (mesh/solids/contact.py).
 FACING = 0.9
-
+# Relative to the sizes compared along a separating axis: five roundings on each side of the comparison, with slack.
+OVERLAP_CONSTANTS = {**BOX_CONSTANTS, "BOX_GAP_ERROR": 3.0e-15}
 
 PAIR_CONSTANTS = {
     "PAIR_GAP_ERROR": PAIR_GAP_ERROR,
@@ -88,3 +93,29 @@ def forest_pairs_kernel(
     i = first + wp.tid()
     one = forest[trees[i]]
     find_pair(leaves[i], one.tree, one.tree, one.slot_boxes, True, one.unit, one.found)
+
+
+@wp.kernel
+@cpp.native_item("mesh/queries/overlaps.inl", "count_overlaps", SurfaceTree, **OVERLAP_CONSTANTS)
+def count_overlaps_kernel(first: int): ...
+
+
+@wp.kernel
+@cpp.native_item("mesh/queries/overlaps.inl", "list_overlaps", SurfaceTree, **OVERLAP_CONSTANTS)
+def list_overlaps_kernel(first: int): ...
+
+
+@wp.kernel
+def first_inverted_kernel(
+    first: int, lower: wp.array(dtype=wp.vec3d), upper: wp.array(dtype=wp.vec3d), out_row: wp.array(dtype=int)
+):
+    i = first + wp.tid()
+    for k in range(3):
+        if lower[i][k] > upper[i][k]:
+            lower_to(out_row, 0, i)
+
+
+@wp.kernel
+def triangle_of_key_kernel(first: int, key: wp.array(dtype=wp.int64), out_triangle_id: wp.array(dtype=int)):
+    i = first + wp.tid()
+    out_triangle_id[i] = wp.int32(key[i] & wp.int64(0xFFFFFFFF))

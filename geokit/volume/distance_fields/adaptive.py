@@ -314,16 +314,7 @@ def adaptive_from_mesh(
     tolerance = user_arrays.require_finite_scalar(tolerance, "tolerance", low=0.0)
     max_levels = require_count(max_levels, "max_levels", 1)
     search = tolerance_search(
-        mesh,
-        tolerance,
-        within=within,
-        order=order,
-        half_width=None,
-        sign=sign,
-        thickness=None,
-        interior=interior,
-        codec=codec,
-        device=device,
+        mesh, tolerance, within=within, order=order, sign=sign, interior=interior, codec=codec, device=device
     )
     surface = search.memory.surface
     name = surface.mesh.name if name is None else name
