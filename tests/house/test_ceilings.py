@@ -23,10 +23,10 @@ from tests.house.test_rooms import FORWARDING, PACKAGE, edges
 # to verbs. Annotations of public names with Any.
 MOST_FILES = 26
 CEILINGS = {
-    "lines": 116200,
+    "lines": 116150,
     "files in mesh/bvh": 28,
-    "files in mesh/queries": 28,
-    "files in volume/tree": 28,
+    "files in mesh/queries": 27,
+    "files in volume/tree": 27,
     "folders in knots": 0,
     "files in import circles": 33,
     "public arguments with Any": 25,
