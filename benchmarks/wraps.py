@@ -1,10 +1,10 @@
 """What ``mesh.wrap`` promises, held against soups: ``python -m benchmarks.wraps --count N --seed S --jobs J``.
 
 Soup i of a seed is a shape with damage of kind i modulo 9, half the time with damage of another kind on top; its size,
-place, tolerance and gap are drawn. Each promise is looked at in NumPy and SciPy alone: edges and fans are counted,
-segments are cut with triangles, distances are those of samples to all triangles that can be nearest, points are inside
-by their solid angle. The table is by kind; a promise that is broken is named with the soup's number, and ``--first I
---count 1`` makes that soup again.
+place, tolerance and gap are drawn, and an offset for a tenth of them. Each promise is looked at in NumPy and SciPy
+alone: edges and fans are counted, segments are cut with triangles, distances are those of samples to all triangles that
+can be nearest, points are inside by their solid angle. The table is by kind; a promise that is broken is named with the
+soup's number, and ``--first I --count 1`` makes that soup again.
 """
 
 from __future__ import annotations
@@ -59,6 +59,7 @@ class Soup(NamedTuple):
     tolerance: float
     gap: float
     cavities: bool
+    offset: float
 
 
 # Shapes of about so many faces.
@@ -188,7 +189,9 @@ def made(seed: int, number: int) -> Soup:
         vertices = vertices + size * 10 ** random.uniform(0, 6) * random.normal(size=3)
     tolerance = size * 10 ** random.uniform(-1.75, -0.7)
     gap = min(tolerance * 10 ** random.uniform(-1.5, 0.9), 0.5 * size) if random.random() < 0.5 else 0.0
-    return Soup(names, TriangleMesh(vertices, mesh.faces), tolerance, gap, bool(random.random() < 0.2))
+    cavities = bool(random.random() < 0.2)
+    offset = min(tolerance * 10 ** random.uniform(-1.0, 1.2), 0.3 * size) if random.random() < 0.1 else 0.0
+    return Soup(names, TriangleMesh(vertices, mesh.faces), tolerance, gap, cavities, offset)
 
 
 # What is promised, by other ways than those of geokit.
@@ -338,8 +341,11 @@ def pieces(mesh: TriangleMesh) -> tuple[NDArray[Any], int]:
     return label[mesh.faces[:, 0]], count - (mesh.vertex_count - mesh.face_count // 2) // 2
 
 
-def _farthest(mesh: TriangleMesh, given: TriangleMesh, random: Random) -> float:
-    """The largest distance of points of a mesh that is found: of samples, and of others ever nearer to the farthest."""
+def _farthest(mesh: TriangleMesh, given: TriangleMesh, random: Random, sign: float = 1.0) -> float:
+    """The largest distance of points of a mesh that is found: of samples, and of others ever nearer to the farthest.
+
+    With a sign of -1 it is the least, below zero.
+    """
     rows = np.concatenate([np.arange(mesh.face_count), random.integers(mesh.face_count, size=ON_WRAP)])
     rows = rows[random.permutation(len(rows))[:ON_WRAP]]
     shares = random.dirichlet((0.7, 0.7, 0.7), len(rows))
@@ -348,14 +354,14 @@ def _farthest(mesh: TriangleMesh, given: TriangleMesh, random: Random) -> float:
     face[mesh.faces.ravel()] = np.repeat(np.arange(mesh.face_count), 3)
     kept = random.permutation(len(face))[: 3 * ON_WRAP]
     points, face = points[kept], face[kept]
-    far = distances(points, given)
+    far = sign * distances(points, given)
     for share in CLOSER:
         best = np.argsort(far)[-BEST:]
         face, points, far = face[best], points[best], far[best]
         aim = random.dirichlet((1.0, 1.0, 1.0), (TRIES, len(best)))
         others = points + share * (np.einsum("tnk,nkj->tnj", aim, mesh.vertices[mesh.faces[face]]) - points)
         points, face = np.concatenate([points, others.reshape(-1, 3)]), np.tile(face, TRIES + 1)
-        far = np.concatenate([far, distances(others.reshape(-1, 3), given)])
+        far = np.concatenate([far, sign * distances(others.reshape(-1, 3), given)])
     return float(far.max())
 
 
@@ -380,18 +386,26 @@ def look(soup: Soup, found: Any, random: Random) -> tuple[list[str], int, float]
     touching += cuts(np.unique(np.sort(sides, axis=1), axis=0), given.vertices, mesh.faces, mesh.vertices, shared=False)
     if crossing or touching:
         wrong.append(f"{crossing} crossings, {touching} with the soup")
-    deviation = _farthest(mesh, given, random)
-    slack = ROUNDING * (soup.mesh.diagonal + np.abs(middle).max())
+    deviation = _farthest(mesh, given, random) - soup.offset
+    slack = ROUNDING * (soup.mesh.diagonal + soup.offset + np.abs(middle).max())
+    if soup.offset and (nearest := -_farthest(mesh, given, random, -1.0)) < soup.offset - slack:
+        wrong.append(f"{nearest:g} from the soup, {soup.offset:g} promised")
     if deviation > found.deviation + slack:
         wrong.append(f"deviation {deviation:g}, {found.deviation:g} promised")
     if found.deviation > soup.tolerance + soup.gap:
         wrong.append(f"{found.deviation:g} promised, {soup.tolerance + soup.gap:g} wanted")
-    away = distances(mesh.vertices, given) > soup.tolerance if soup.gap else np.zeros(mesh.vertex_count, bool)
+    away = (
+        distances(mesh.vertices, given) > soup.offset + soup.tolerance
+        if soup.gap
+        else np.zeros(mesh.vertex_count, bool)
+    )
     if (away[mesh.faces].any(axis=1) != found.bridges).mean() > 1e-3:
         wrong.append("bridges are others")
     count = max(20, min(ON_SOUP, ANGLES // mesh.face_count))
     used = given.vertices[np.unique(given.faces)]
     inner = np.concatenate([_on_faces(given, count // 2, random), used[random.permutation(len(used))[: count // 2]]])
+    way = random.normal(size=inner.shape)
+    inner = inner + soup.offset * way / np.linalg.norm(way, axis=1, keepdims=True)
     outside = np.abs(windings(inner, mesh) - 1.0) > 1e-6
     if outside.any():
         wrong.append(f"{int(outside.sum())} of {len(inner)} points of the soup are outside")
@@ -409,14 +423,16 @@ def trial(seed: int, number: int) -> dict[str, Any]:
         "number": number,
         "kind": KINDS[number % len(KINDS)].__name__,
         "name": f"{soup.name} of {soup.mesh.face_count} faces, tolerance {soup.tolerance / size:.4f}, "
-        f"gap {soup.gap / size:.4f} of the diagonal{', cavities' if soup.cavities else ''}",
+        f"gap {soup.gap / size:.4f}, offset {soup.offset / size:.4f} of the diagonal"
+        f"{', cavities' if soup.cavities else ''}",
         "wrong": [],
     }
     begun = time.process_time()
     signal.signal(signal.SIGALRM, _hangs)
     signal.alarm(PATIENCE)
     try:
-        found = gk.mesh.wrap(soup.mesh, tolerance=soup.tolerance, gap=soup.gap, cavities=soup.cavities, device="cpu")
+        lengths = {"tolerance": soup.tolerance, "gap": soup.gap, "offset": soup.offset}
+        found = gk.mesh.wrap(soup.mesh, **lengths, cavities=soup.cavities, device="cpu")
     except (InputError, DeviceMemoryError) as error:
         return row | {"refused": str(error)}
     except BaseException:  # a hang, or what no promise allows: named with its place

@@ -48,9 +48,12 @@ inside "du -sh /opt/geokit/ | cut -f1"
 inside "geokit doctor"
 inside "geokit info --help | grep -A1 Examples:"
 inside "python try_wheel.py ${BESIDE:-}"
-# Figures need an OpenGL library: without one, the error names the packages; then they are drawn.
+inside "BROWSER=true python readme.py && ls torus.ply"
+# Figures need their extra and an OpenGL library: without them, errors name the command; then they are drawn.
+inside "geokit render torus.ply -o torus.png 2>&1 | tail -1"
+inside "pip install --quiet --disable-pip-version-check 'wheels/$(basename "$wheel")[figures]'"
 if ! chroot "$root" dpkg -s libegl1 >/dev/null 2>&1; then
-  inside "python readme.py 2>&1 | tail -1"
+  inside "geokit render torus.ply -o torus.png 2>&1 | tail -1"
   inside "apt-get update -qq && apt-get install -y -qq --no-install-recommends libegl1 libgl1 >/dev/null 2>&1"
 fi
-inside "python readme.py && ls -l torus.png"
+inside "geokit render torus.ply -o torus.png --force && ls -l torus.png"

@@ -8,7 +8,6 @@ from typing import Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 
-from geokit._packages import require_package
 from geokit.cli._batches.report import table, write_page
 from geokit.cli._kinds import Flag, called, load_cloud, refuse_unused, require_kind
 from geokit.cli._points import DEFAULT_COUNT
@@ -19,6 +18,7 @@ from geokit.core.files import extension
 from geokit.core.require import require_one_world
 from geokit.errors import InputError
 from geokit.formats.table import FORMATS, with_formats
+from geokit.render.looks.color_maps import color_table
 
 __all__ = ["compare"]
 
@@ -99,16 +99,19 @@ def _page(at: Any, off: Any, far: float, facts: dict[str, Any], up: str) -> str:
     from geokit.points import PointCloud
     from geokit.render import view
 
-    matplotlib = require_package("matplotlib")
-    colors = matplotlib.colormaps["coolwarm"]
-    rgb = np.rint(255.0 * colors(0.5 + 0.5 * off / far)[:, :3]).astype(np.uint8)
+    def color(at: Any) -> Any:
+        """Of numbers from 0 to 1, or beyond."""
+        return colors[np.clip(np.floor(at * len(colors)), 0, len(colors) - 1).astype(int)]
+
+    colors = color_table("coolwarm")
+    rgb = color(0.5 + 0.5 * off / far)
     scene = view(PointCloud(at, {"deviation": off, "rgb": rgb}), names=["scan"], colormap="coolwarm", up=up)
     # What is farther away is in the outermost bars, as it has the outermost colors.
     counts, edges = np.histogram(np.clip(off, -far, far), bins=BINS, range=(-far, far))
     side = WIDTH / BINS
     bars = [
         f'<rect x="{bar * side:.1f}" y="{HEIGHT - high:.1f}" width="{side - 1:.1f}" height="{high:.1f}" '
-        f'fill="{matplotlib.colors.to_hex(colors((bar + 0.5) / BINS))}">'
+        f'fill="#{bytes(color((bar + 0.5) / BINS)).hex()}">'
         f"<title>{edges[bar]:.4g} to {edges[bar + 1]:.4g}: {counts[bar]:,}</title></rect>"
         for bar, high in enumerate(HEIGHT * counts / counts.max())
     ]

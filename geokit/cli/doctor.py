@@ -157,10 +157,15 @@ def _bridge() -> dict[str, Any]:
 
 
 def _opengl() -> dict[str, str]:
+    from geokit._packages import require_package
     from geokit.errors import MissingDependencyError
     from geokit.render import gl_backend
     from geokit.render._backend import BACKENDS
 
+    try:
+        require_package("pyvista")
+    except MissingDependencyError as error:
+        return {"used for figures": f"none: {error}"}
     with ThreadPoolExecutor(len(BACKENDS)) as pool:
         facts = dict(zip(BACKENDS, pool.map(_try_opengl, BACKENDS.values()), strict=True))
     try:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from geokit.cli._kinds import called, may_write, require_kind
+from geokit.cli._kinds import Flag, called, may_write, require_kind
 from geokit.cli._program.console import step
 from geokit.cli._program.lengths import AnyLength, FromUnit, lengths_in, unit_of
 from geokit.cli._results import DEFAULTS, Changed, Common, Source, deliver_mesh
@@ -17,6 +17,7 @@ def repair(
     *,
     tolerance: AnyLength | None = None,
     max_width: AnyLength | None = None,
+    fair: Flag = False,
     untangle: int | None = None,
     from_unit: FromUnit = None,
     common: Common = DEFAULTS,
@@ -29,6 +30,7 @@ def repair(
         source: The mesh to repair.
         tolerance: Distance within which vertices are merged; by default only those at one place are.
         max_width: Holes wider than this stay open; by default all are filled.
+        fair: Whether to make patches as smooth as what is around them.
         untangle: Rings of faces that are cut out at most where the mesh crosses itself; by default it may.
     """
     from geokit import mesh
@@ -39,12 +41,14 @@ def repair(
     with step(f"repairing {source}", quiet=common.json), called(*names):
         found = mesh.convert_unit(mesh.load(source), from_unit=from_unit)
         meters = found.meters_per_unit
-        made, *counts, holes = mesh.repair(found, **lengths_in(meters, tolerance=tolerance, max_width=max_width))
+        lengths = lengths_in(meters, tolerance=tolerance, max_width=max_width)
+        made, *counts, holes = mesh.repair(found, **lengths, fair=fair)
         facts: dict[str, float] = dict(zip(("merged", "dropped", "flipped"), counts, strict=True))
         if untangle is not None:
             made, _, *cut = mesh.remove_self_intersections(made, rings=untangle)
             facts |= zip(("faces_cut", "places", "deviation"), cut, strict=True)
         audit = mesh.audit(made, self_intersections=True)
-    left = {"open": int((~holes.filled).sum()), "non_manifold_edges": audit.non_manifold_edge_count}
+    left = {"faired": int(holes.faired.sum())} if fair else {}
+    left |= {"open": int((~holes.filled).sum()), "non_manifold_edges": audit.non_manifold_edge_count}
     left |= {"crossing_pairs": int(audit.self_intersection_count or 0), "watertight": audit.watertight}
     deliver_mesh(made, target, common, **unit_of(meters), **facts, filled=int(holes.filled.sum()), **left)

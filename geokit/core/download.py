@@ -16,6 +16,7 @@ import numpy as np
 
 from geokit.core import launcher
 from geokit.core.base.forks import renew_after_fork
+from geokit.core.launches import captured
 from geokit.core.memory.host_array import row_of
 from geokit.core.memory.memory_pool import MemoryPool
 from geokit.core.running.thread_placement import Calls
@@ -65,6 +66,7 @@ _stages: dict[str, _Stage] = {}
 def download(*arrays: "wp.array") -> list[np.ndarray]:
     """Copy arrays of one device to NumPy; arrays in host memory are not copied."""
     device = arrays[0].device
+    captured.refuse(device, "answers are copied to the host")
     total = sum(array.capacity for array in arrays)
     if device.is_cpu or total < SMALLEST_POOLED or not all(array.is_contiguous for array in arrays):
         return [array.numpy() for array in arrays]

@@ -155,9 +155,9 @@ FORMATS: dict[str, Format] = {
         "exchange.three_mf", mesh="rw", unit=True, default_unit="millimeter", fixed_up="z", process=True, **_Z
     ),
     # VTK. Meshes are written by pyvista, .vtu by meshio.
-    ".vtk": Format("vtk", mesh="rw", **_ARRAYS, unit=True, process=True, **_Z),
-    ".vtp": Format("vtk", mesh="rw", points="rw", **_ARRAYS, unit=True, process=True, **_Z),
-    ".vtu": Format("vtk", mesh="rw", **_ARRAYS, process=True, **_Z),
+    ".vtk": Format("vtk", mesh="rw", **_ARRAYS, unit=True, process=True, extra="figures", **_Z),
+    ".vtp": Format("vtk", mesh="rw", points="rw", **_ARRAYS, unit=True, process=True, extra="figures", **_Z),
+    ".vtu": Format("vtk", mesh="rw", **_ARRAYS, process=True, extra="figures", **_Z),
     # meshio
     ".msh": Format("meshio_files", mesh="rw", **_ARRAYS, process=True, references=True, **_Z),
     ".xdmf": Format("meshio_files", mesh="rw", **_ARRAYS, process=True, references=True, series=True, **_Z),
@@ -201,7 +201,7 @@ FORMATS: dict[str, Format] = {
     ".dcm": Format("", volume="r", image="dicom", extra="medical", **_Z),
     ".zarr": Format("", volume="rw", image="zarr_image", extra="imaging", **_Z),
     ".vox": Format("", volume="r", image="vox", **_Z),
-    ".vti": Format("", volume="rw", image="vti", **_Z),
+    ".vti": Format("", volume="rw", image="vti", extra="figures", **_Z),
 }
 
 # Scenes, which may hold meshes, or volumes of .vdb files.

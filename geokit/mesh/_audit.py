@@ -7,7 +7,6 @@ from dataclasses import replace
 from geokit.core.interop.types import MeshLike
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_flag
-from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.surfaces.objects import require_mesh
 from geokit.mesh.topology.audit import MeshAudit, audit_topology
 from geokit.mesh.topology.connectivity import mesh_topology
@@ -41,12 +40,9 @@ def audit(mesh: MeshLike, *, self_intersections: bool = False) -> MeshAudit:
     mesh = require_mesh(mesh, "mesh", images=False)
     require_flag(self_intersections, "self_intersections")
     report = audit_topology(mesh, mesh_topology(mesh))
-    return replace(report, self_intersection_count=_self_intersection_count(mesh)) if self_intersections else report
-
-
-def _self_intersection_count(mesh: TriangleMesh) -> int:
-    if len(mesh.faces) == 0:
-        return 0
+    if not self_intersections:
+        return report
     from geokit.mesh.surfaces.surface import Surface
 
-    return len(Surface(mesh, device="cpu").self_intersections())
+    pairs = Surface(mesh, device="cpu").self_intersections() if mesh.face_count else ()
+    return replace(report, self_intersection_count=len(pairs))

@@ -13,17 +13,23 @@ from geokit.core.frame import Frame
 from geokit.core.interop.types import MeshLike
 from geokit.core.interop.user_arrays import FROM_ZERO, require_finite_scalar
 from geokit.core.memory.needs import needs
+from geokit.core.require import require_flag
 from geokit.mesh._repair import orient
 from geokit.mesh.attributes.derived import derived, with_data
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.surfaces.objects import require_mesh
 from geokit.mesh.surfaces.surface import Surface
-from geokit.mesh.topology.connectivity import mesh_topology
+from geokit.mesh.topology.connectivity import MeshTopology, mesh_topology
+from geokit.mesh.topology.fairing import fair_patches
+from geokit.mesh.topology.measures import faces_without_area
 from geokit.mesh.topology.normals import face_normals
 from geokit.mesh.topology.rim_patches import patches
 from geokit.mesh.topology.rims import Rims, edges_within, find_rims
 
 __all__ = ["FilledHoles", "fill_holes", "rim_points", "unclashing", "with_patches"]
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 # Points of a rim whose distances are all measured.
 MOST_PAIRED = 512
@@ -40,6 +46,7 @@ class FilledHoles(NamedTuple):
         width: Largest distance between two points of each rim [world], (H,).
         center: Mean of the points of each rim [world], (H, 3).
         filled: Whether each hole was filled, (H,) bool; others are as open as they were.
+        faired: Whether its patch is a fair one, (H,) bool.
     """
 
     mesh: TriangleMesh
@@ -47,17 +54,22 @@ class FilledHoles(NamedTuple):
     width: NDArray[np.float64]
     center: NDArray[np.float64]
     filled: NDArray[np.bool_]
+    faired: NDArray[np.bool_]
 
 
-@needs()
-def fill_holes(mesh: MeshLike, *, max_width: float = math.inf) -> FilledHoles:
+@needs(lambda mesh, fair=False, **_: (520 if fair else 440) * mesh.face_count, late=True)
+def fill_holes(mesh: MeshLike, *, max_width: float = math.inf, fair: bool = False) -> FilledHoles:
     """Close holes by triangles between the points of their rims, of least area.
 
     A rim is a loop of edges that one face has; vertices at equal positions count as one. Faces are wound as by
-    :func:`orient`. No vertex is added or moved, and no face is removed. No face of a patch intersects or repeats
+    :func:`orient`. No vertex is moved, and no face is removed. No face of a patch intersects or repeats
     another one (exact predicates), and none of its edges has more than two faces. A hole stays open where that cannot
     be had, where it is wider than ``max_width``, and where its rim ends at an edge of more than two faces, or of two
     that cannot be wound alike.
+
+    With ``fair`` patches get points as dense as those around their rims, and curve as the faces there do. The patch of
+    least area is kept where such a one would intersect something, or have over 131,072 faces, and ``faired`` says so.
+    New vertices have the attributes of points of the rim.
 
     The border of a sheet is a rim too: ``max_width`` tells one from the other. A flat sheet keeps its border, as the
     patch would lie in the sheet. :func:`wrap` closes what has no rims: cracks, slits, loose faces.
@@ -68,13 +80,16 @@ def fill_holes(mesh: MeshLike, *, max_width: float = math.inf) -> FilledHoles:
     Args:
         mesh: The mesh; it may be empty.
         max_width: Holes wider than this [world] stay open.
+        fair: Whether to make patches as smooth as what is around them.
     Returns:
-        FilledHoles with mesh, hole (F,), width [world] (H,), center (H, 3), filled (H,).
+        FilledHoles with mesh, hole (F,), width [world] (H,), center (H, 3), filled (H,), faired (H,).
     Raises:
-        InputError: mesh is no mesh, or max_width is no number of 0 or more.
+        InputError: mesh is no mesh, max_width is no number of 0 or more, or fair is no flag.
+        MissingDependencyError: SciPy is missing, which ``fair`` needs.
         DeviceMemoryError: There is not enough memory.
     Source:
-        Barequet and Sharir, Filling gaps in the boundary of a polyhedron (1995).
+        Barequet and Sharir, Filling gaps in the boundary of a polyhedron (1995); Liepa, Filling holes in meshes (2003);
+        Schneider and Kobbelt, Geometric fairing of irregular meshes for free-form surface design (2001).
     Example:
         >>> box = gk.mesh.box()
         >>> found = gk.mesh.fill_holes(gk.mesh.TriangleMesh(box.vertices, box.faces[1:]))
@@ -83,7 +98,9 @@ def fill_holes(mesh: MeshLike, *, max_width: float = math.inf) -> FilledHoles:
     """
     given, flipped, _ = orient(require_mesh(mesh, "mesh"))
     max_width = require_finite_scalar(max_width, "max_width", low=FROM_ZERO, infinite=True)
-    _, _, collapsed, topology = mesh_topology(given)
+    require_flag(fair, "fair")
+    whole = mesh_topology(given)
+    _, _, collapsed, topology = whole
     rims = find_rims(topology)
     face = np.flatnonzero(~collapsed)[rims.half_edges // 3]
     corner = 3 * face + rims.half_edges % 3
@@ -92,20 +109,20 @@ def fill_holes(mesh: MeshLike, *, max_width: float = math.inf) -> FilledHoles:
     beside = face_normals(TriangleMesh(given.vertices, given.faces[face]))
     fixed = edges_within(topology, rims.begin, topology.start[rims.half_edges]), beside
     rows, hole = unclashing(given, rims, points, wanted, width, corner, fixed)
-    full, of_face = with_patches(given, corner[rows], face[rims.begin[hole]], hole)
-    filled = np.zeros(len(width), bool)
-    filled[hole] = True
+    filled, faired = np.isin(np.arange(len(width)), hole), np.zeros(len(width), bool)
+    corners, faces = corner[rows], given.faces.reshape(-1)[corner[rows]]
+    if fair and len(rows):
+        given, corners, hole, faces, faired = _faired(given, whole, corners, hole, width)
+    full, of_face = with_patches(given, corners, face[rims.begin[hole]], hole, faces)
     # Bodies in bodies are told apart by the input's winding, once both are closed.
     back = np.zeros(full.face_count, bool)
     back[of_face < 0] = flipped
     turned = np.where(back[:, None], full.faces[:, ::-1], full.faces)
     wound = orient(derived(full, full.vertices, turned, reversed_faces=back)).mesh
-    return FilledHoles(wound, of_face, width, center, filled)
+    return FilledHoles(wound, of_face, width, center, filled, faired)
 
 
-def rim_points(
-    mesh: TriangleMesh, rims: Rims, corner: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def rim_points(mesh: TriangleMesh, rims: Rims, corner: Indices) -> tuple[Floats, Floats, Floats]:
     """Points of rims in units of their width (R, 3), widths [world] (H,), means of the points [world] (H, 3).
 
     ``corner`` is the corner of the mesh where each half-edge of the rims starts (R,).
@@ -122,14 +139,14 @@ def rim_points(
 def unclashing(
     mesh: TriangleMesh,
     rims: Rims,
-    points: NDArray[np.float64],
+    points: Floats,
     wanted: NDArray[np.bool_],
-    width: NDArray[np.float64],
-    corner: NDArray[np.int64],
-    fixed: tuple[NDArray[np.int64], NDArray[np.float64]],
+    width: Floats,
+    corner: Indices,
+    fixed: tuple[Indices, Floats],
     source: Surface | None = None,
     gone: NDArray[np.bool_] | None = None,
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+) -> tuple[Indices, Indices]:
     """Triangles as rows of the rims (T, 3), and the hole of each (T,); none that clashes with faces of the mesh.
 
     ``points``, ``width`` and ``corner`` are those of :func:`rim_points`, ``fixed`` are edges and normals as in
@@ -150,7 +167,7 @@ def unclashing(
     return rows, hole
 
 
-def _width(points: NDArray[np.float64]) -> float:
+def _width(points: Floats) -> float:
     """The largest distance between two points."""
     if len(points) > MOST_PAIRED:
         cloud = TriangleMesh(points, np.arange(len(points))[:, None].repeat(3, axis=1))
@@ -159,7 +176,7 @@ def _width(points: NDArray[np.float64]) -> float:
 
 
 def with_patches(
-    mesh: TriangleMesh, corners: NDArray[np.int64], beside: NDArray[np.int64], hole: NDArray[np.int64]
+    mesh: TriangleMesh, corners: Indices, beside: Indices, hole: Indices, faces: Indices | None = None
 ) -> tuple[TriangleMesh, NDArray[np.int32]]:
     """The mesh with patches, and the hole of each face (F,).
 
@@ -168,24 +185,57 @@ def with_patches(
         corners: Corners of the patches' faces, as numbers of corners of the mesh (T, 3).
         beside: The face of the mesh that each is put behind, and takes its attributes from (T,).
         hole: The hole of each (T,).
+        faces: Their vertices, if not those of the corners (T, 3).
     """
     source = np.concatenate([np.arange(mesh.face_count), beside])
     order = np.argsort(source, kind="stable")
     corner = np.concatenate([np.arange(3 * mesh.face_count).reshape(-1, 3), corners])[order]
     of_face = np.concatenate([np.full(mesh.face_count, -1, np.int32), hole.astype(np.int32)])[order]
     plain = with_data(mesh, corner_data={})
-    made = derived(plain, mesh.vertices, mesh.faces.reshape(-1)[corner], face_source=source[order])
+    faces = np.concatenate([mesh.faces, mesh.faces.reshape(-1)[corners] if faces is None else faces])[order]
+    made = derived(plain, mesh.vertices, faces, face_source=source[order])
     at_corners = {name: v.reshape(-1, *v.shape[2:])[corner] for name, v in mesh.corner_data.items()}
     return with_data(made, corner_data=at_corners), of_face
 
 
+def _faired(
+    mesh: TriangleMesh, whole: MeshTopology, corners: Indices, hole: Indices, width: Floats
+) -> tuple[TriangleMesh, Indices, Indices, Indices, NDArray[np.bool_]]:
+    """Patches as for :func:`with_patches`, made fair where they clash with nothing.
+
+    Returns:
+        The mesh with all vertices, corners to take attributes from, holes and vertices of the patches' faces (T', 3),
+        (T',), (T', 3), and whether the patch of each hole is fair (H,).
+    """
+    frame, every, count = Frame.around(*mesh.bounds), mesh.faces.reshape(-1), mesh.vertex_count
+    places = np.empty((whole.position_count, 3))
+    places[whole.corners] = (mesh.vertices[mesh.faces] - frame.origin) / frame.scale
+    # Of each corner of a patch the point, the corner beside it and the hole.
+    plain = np.stack([whole.corners.reshape(-1)[corners], corners, hole[:, None].repeat(3, axis=1)], axis=-1)
+    fair, points = fair_patches(whole.edges, places, plain)
+    plain[..., 0] = every[corners]
+    fair[..., 0] = np.where(fair[..., 0] < len(places), every[fair[..., 1]], fair[..., 0] - len(places) + count)
+    vertices = np.concatenate([mesh.vertices, points[len(places) :] * frame.scale + frame.origin])
+    source = Surface(TriangleMesh(vertices, mesh.faces), device="cpu")
+    faired = np.isin(np.arange(len(width)), fair[:, 0, 2])
+    while True:
+        table = np.concatenate([plain[~faired[plain[:, 0, 2]]], fair[faired[fair[:, 0, 2]]]])
+        faces, corners, hole = np.moveaxis(table, 2, 0)
+        wrong = faces_without_area(TriangleMesh(vertices, faces))
+        wrong[_clashing(source, faces, hole[:, 0], np.where(faired, width, 0.0), None)] = True
+        if not faired[hole[wrong]].any():
+            break
+        faired[hole[wrong]] = False
+    beside = np.arange(len(vertices))
+    beside[faces] = every[corners]
+    used = np.union1d(beside[:count], faces)
+    made = derived(mesh, vertices[used], mesh.faces, vertex_source=beside[used])
+    return made, corners, hole[:, 0], np.searchsorted(used, faces), faired
+
+
 def _clashing(
-    source: Surface,
-    faces: NDArray[np.int32],
-    hole: NDArray[np.int64],
-    width: NDArray[np.float64],
-    gone: NDArray[np.bool_] | None,
-) -> NDArray[np.int64]:
+    source: Surface, faces: NDArray[np.int32], hole: Indices, width: Floats, gone: NDArray[np.bool_] | None
+) -> Indices:
     """Patches' faces that intersect or repeat others, or give an edge a third face; of two that of the wider patch."""
     made = Surface(TriangleMesh(source.mesh.vertices, faces), device="cpu")
     touched = np.unique(made.intersecting_triangles(source)[:, 1])

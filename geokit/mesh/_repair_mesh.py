@@ -39,8 +39,8 @@ class Repaired(NamedTuple):
     holes: FilledHoles
 
 
-@needs()
-def repair(mesh: MeshLike, *, tolerance: float = 0.0, max_width: float = math.inf) -> Repaired:
+@needs(lambda mesh, tolerance=0.0, **_: 460 * mesh.face_count + (48 << 20) * (tolerance > 0.0), late=True)
+def repair(mesh: MeshLike, *, tolerance: float = 0.0, max_width: float = math.inf, fair: bool = False) -> Repaired:
     """Merge vertices, drop faces that are none, wind faces alike, and fill holes.
 
     What is sound stays as it is. Vertices are merged as by :func:`merge_vertices`. Three kinds of faces are dropped:
@@ -55,10 +55,12 @@ def repair(mesh: MeshLike, *, tolerance: float = 0.0, max_width: float = math.in
         mesh: The mesh; it may be empty.
         tolerance: Distance [world] within which vertices are merged; 0 for equal positions only.
         max_width: Holes wider than this [world] stay open.
+        fair: Whether to make patches as smooth as what is around them, as :func:`fill_holes` does.
     Returns:
         Repaired with mesh, merged, dropped, flipped, holes.
     Raises:
-        InputError: mesh is no mesh, or tolerance or max_width is no number of 0 or more.
+        InputError: mesh is no mesh, tolerance or max_width is no number of 0 or more, or fair is no flag.
+        MissingDependencyError: SciPy is missing, which ``fair`` needs.
         DeviceMemoryError: There is not enough memory.
     Example:
         >>> found = gk.mesh.repair(gk.mesh.load("data/samples/broken.obj"))
@@ -72,7 +74,7 @@ def repair(mesh: MeshLike, *, tolerance: float = 0.0, max_width: float = math.in
         dropped = is_none(mesh_topology(left))
         if dropped.any():
             left = derived(left, left.vertices, left.faces[~dropped], face_source=np.flatnonzero(~dropped))
-    filled = fill_holes(left, max_width=max_width)
+    filled = fill_holes(left, max_width=max_width, fair=fair)
     flipped = (filled.mesh.faces[filled.hole < 0] != left.faces).any(axis=1)
     counts = given.vertex_count - merged.vertex_count, given.face_count - left.face_count, int(flipped.sum())
     return Repaired(filled.mesh, *counts, filled)

@@ -48,7 +48,7 @@ class Untangled(NamedTuple):
     deviation: float
 
 
-@needs()
+@needs(lambda mesh, **_: 700 * mesh.face_count, late=True)
 def remove_self_intersections(mesh: MeshLike, *, rings: int = 8) -> Untangled:
     """Remove the places where a body crosses itself: they are cut out and filled, and the result is proven.
 

@@ -14,7 +14,7 @@ def raise_failure(error: dict[str, Any], what: str, is_argument: bool = False) -
     """Raise the exception for an error that the C++ code reports.
 
     Args:
-        error: "kind" and "message", as in src/errors.h; for a missing grid also the "names" of the existing ones.
+        error: "kind" and "message", as in src/bridge.h; for a missing grid also the "names" of the existing ones.
         what: The file or the argument at fault.
         is_argument: Whether the caller passed the data itself rather than a file name.
     """

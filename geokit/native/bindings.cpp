@@ -1,13 +1,7 @@
 // The Python interface of the bridge: arrays in, arrays out. Only geokit/native/_openvdb.py and its workers import it.
 
-#include "bridge.h"
-#include "buffer.h"
-#include "check.h"
-#include "errors.h"
-#include "mesh.h"
 #include "operations.h"
 #include "points.h"
-#include "write.h"
 
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
@@ -267,7 +261,7 @@ std::pair<double, double> measure(ConstBytes buffer, double voxel_size)
 
 NB_MODULE(_bridge, module)
 {
-    // Raised with one argument: the JSON of json.h, from which __init__.py builds geokit's own exceptions.
+    // Raised with one argument: the JSON of to_json(), from which __init__.py builds geokit's own exceptions.
     static nb::object bridge_error = nb::exception<geokit::BridgeError>(module, "BridgeError");
     nb::register_exception_translator([](const std::exception_ptr& pointer, void*) {
         try {

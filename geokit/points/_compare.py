@@ -220,12 +220,17 @@ def _directed(a: Any, b: Any, device: Any) -> tuple[DirectedDistance, DirectedDi
     if is_tracked(a) or is_tracked(b):
         found = _between(a, b, device)
         return _summed(found.a_to_b, found.index_b), _summed(found.b_to_a, found.index_a)
-    target = launcher.resolve_device(device)
-    clouds = [read_vectors(points, name, target).array for points, name in ((a, "a"), (b, "b"))]
-    for points, name in zip(clouds, ("a", "b"), strict=True):
-        if len(points) == 0:
-            raise InputError(f"{name}: a cloud without points is not at any distance; give at least one")
+    clouds = [batch.array for batch in _clouds(a, b, device)]
     return _from(clouds[0], clouds[1], "a"), _from(clouds[1], clouds[0], "b")
+
+
+def _clouds(a: Any, b: Any, device: Any) -> list[Any]:
+    target = launcher.resolve_device(device)
+    batches = [read_vectors(points, name, target) for points, name in ((a, "a"), (b, "b"))]
+    for batch, name in zip(batches, "ab", strict=True):
+        if len(batch) == 0:
+            raise InputError(f"{name}: a cloud without points is not at any distance; give at least one")
+    return batches
 
 
 def _chamfer_of_groups(a: Any, b: Any, groups: Any, device: Any) -> ChamferDistance:
@@ -372,12 +377,9 @@ class _Between(NamedTuple):
 
 @query(inputs=("a", "b"), gradient=".gradients.distances:BETWEEN", name="a, b")
 def _between(a: Any, b: Any, device: Any) -> _Between:
-    target = launcher.resolve_device(device)
-    batches = [read_vectors(points, name, target) for points, name in ((a, "a"), (b, "b"))]
+    batches = _clouds(a, b, device)
     found: list[Any] = []
-    for (asked, other), name in zip((batches, batches[::-1]), ("a", "b"), strict=True):
-        if len(asked) == 0:
-            raise InputError(f"{name}: a cloud without points is not at any distance; give at least one")
+    for asked, other in (batches, batches[::-1]):
         distance, index = nearest(build_tree(other.array), 1, asked.array)
         found += [asked.to_caller(distance.flatten()), asked.to_caller(index.flatten())]
     return _Between(*found)

@@ -124,7 +124,7 @@ def downsample(
     if chosen[0] in ("radius", "tolerance"):
         distance = require_finite_scalar(given[chosen[0]], chosen[0], low=0.0)
         batch = read_vectors(points, "points", target)
-        from geokit.points.clouds.poisson_disk import poisson_disk_subset
+        from geokit.points.clouds.spread_subsets import poisson_disk_subset
 
         return Downsampled(*map(batch.to_caller, poisson_disk_subset(batch.array, distance, seed)))
     wanted = require_count(count, "count", 1)
@@ -132,7 +132,7 @@ def downsample(
     if wanted > len(batch):
         raise InputError(f"count: {wanted} of {len(batch)} points; ask for as many as there are at most")
     start = require_count(start, "start", 0, len(batch) - 1)
-    from geokit.points.clouds.farthest_points import farthest_points
+    from geokit.points.clouds.spread_subsets import farthest_points
 
     return Downsampled(*map(batch.to_caller, farthest_points(batch.array, wanted, start)))
 
@@ -168,7 +168,7 @@ def cover(points: Rows, *, tolerance: float, seed: int = 0, device: Device = Non
     batch = read_vectors(points, "points", target)
     if len(batch) == 0:
         raise InputError("points: a cloud without points has nothing to cover; give at least one")
-    from geokit.points.clouds.poisson_disk import poisson_disk_subset
+    from geokit.points.clouds.spread_subsets import poisson_disk_subset
     from geokit.points.search.nearest import build_tree, nearest
 
     kept, indices = poisson_disk_subset(batch.array, distance, seed)

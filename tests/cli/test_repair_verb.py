@@ -31,6 +31,15 @@ def test_the_broken_sample(geokit, tmp_path: Path) -> None:
     }
 
 
+def test_patches_are_made_fair_where_that_is_asked_for(geokit, tmp_path: Path) -> None:
+    target = tmp_path / "ball.ply"
+    done = geokit("repair", gk.sample_path("shell.stl"), target, "--fair", "--json")
+    assert done.returncode == 0, done.stderr
+    said = json.loads(done.stdout)
+    assert (said["filled"], said["faired"], said["watertight"]) == (1, 1, True)
+    assert abs(gk.mesh.load(target).volume - 4.0 / 3.0 * np.pi) < 1e-3
+
+
 def test_lengths_have_units(geokit, tmp_path: Path) -> None:
     box = gk.mesh.box((10.0, 10.0, 10.0))
     # Each face of its own, a little apart, and one missing.

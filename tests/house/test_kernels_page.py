@@ -26,7 +26,7 @@ def run(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleTyp
 
 
 def test_every_block_is_checked():
-    assert set(blocks_of(PAGE)) == {"mesh", "rays", "volume", "grid", "moving", "team", "all", "handle"}
+    assert set(blocks_of(PAGE)) == {"mesh", "rays", "volume", "grid", "moving", "team", "graph", "all", "handle"}
 
 
 def test_links_lead_somewhere():
@@ -56,6 +56,14 @@ def test_rays(tmp_path, monkeypatch):
     assert abs(found.mean() - (1.0 - blocked.mean())) < 0.01
     assert found.min() < 0.7
     assert found.max() == 1.0
+
+
+def test_graph(tmp_path, monkeypatch):
+    page = run("graph", tmp_path, monkeypatch)
+    before = page.surface.closest_point(page.start)
+    # Each step leaves nine tenths of the way, to the same point.
+    expected = before.points + 0.9**40 * (page.start - before.points)
+    np.testing.assert_allclose(page.points.numpy(), expected, atol=1e-9)
 
 
 def test_handle(tmp_path, monkeypatch):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import json
+import os
 import re
 import subprocess
 import sys
@@ -27,8 +28,8 @@ BASE = {re.split(r"[<>=\[; ]", line)[0] for line in PROJECT["dependencies"]}
 EXTRAS = PROJECT["optional-dependencies"]
 # Of developers, not of users.
 INTERNAL = {"test", "test-torch", "dev", "docs", "bench"}
-# No file formats, so not in "all": gradients, which take gigabytes, and clusters.
-LIBRARIES = {"torch", "jax", "dask"}
+# No file formats, so not in "all": gradients, which take gigabytes, clusters, and smooth patches.
+LIBRARIES = {"torch", "jax", "dask", "fair"}
 # A format whose library takes hundreds of megabytes.
 LARGE = {"cad"}
 
@@ -37,12 +38,11 @@ LARGE = {"cad"}
 def test_every_package_is_installed_by_what_its_error_names(module: str) -> None:
     package = PACKAGES[module]
     if package.extra:
-        # laspy[lazrs] brings lazrs.
-        assert package.name in re.split(r"[\[\]<>=, ]", " ".join(EXTRAS[package.extra]))
+        # laspy[lazrs] brings lazrs, pyvista vtk.
+        assert package.name in {*re.split(r"[\[\]<>=, ]", " ".join(EXTRAS[package.extra])), "vtk"}
         assert remedy(module) == f"pip install '{PROJECT['name']}[{package.extra}]'"
     else:
-        # pyvista brings vtk.
-        assert package.name in BASE | {"vtk"}
+        assert package.name in BASE
         assert package.name in remedy(module)
 
 
@@ -148,6 +148,35 @@ def test_queries_need_numpy_and_warp_only(tmp_path: Path) -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, timeout=300)
     assert done.returncode == 0, done.stderr
     assert not list(tmp_path.iterdir())
+
+
+LIGHT = """
+import sys
+for name in {blocked!r}:
+    sys.modules[name] = None
+exec({program!r})
+from geokit.cli import main
+for words in (
+    ["info", "torus.ply"],
+    ["view", "torus.ply", "cloud.ply", "-o", "page.html"],
+    ["compare", "cloud.ply", "torus.ply", "report.html"],
+    ["doctor"],
+):
+    assert main(words) == 0, words
+"""
+
+
+@pytest.mark.slow
+def test_the_base_installation_has_pages_reports_and_the_command_line(tmp_path: Path) -> None:
+    (program,) = re.findall(r"^```py\n(.*?)^```", (ROOT / "README.md").read_text(encoding="utf-8"), re.M | re.S)
+    code = LIGHT.format(blocked=[name for name, package in PACKAGES.items() if package.extra], program=program)
+    environment = {**os.environ, "BROWSER": "true", "TMPDIR": str(tmp_path)}
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, timeout=600, env=environment
+    )
+    assert done.returncode == 0, done.stderr
+    assert {"torus.ply", "cloud.ply", "page.html", "report.html"} <= {path.name for path in tmp_path.iterdir()}
+    assert f"pip install '{DISTRIBUTION}[figures]'" in done.stdout
 
 
 def test_the_command_line_names_its_package() -> None:

@@ -89,6 +89,7 @@ class Scene:
         self.folder = folder
         self.mesh = _octahedron()
         self.other = gk.mesh.TriangleMesh(self.mesh.vertices * 0.9, self.mesh.faces)
+        self.torn, self.crossed = gk.mesh.TriangleMesh(self.mesh.vertices, self.mesh.faces[1:]), self.mesh
         self.surface = gk.mesh.Surface(self.mesh, device="cpu")
         data = {"height": self.mesh.vertices[:, 2]}
         painted = gk.mesh.TriangleMesh(self.mesh.vertices, self.mesh.faces, vertex_data=data)
@@ -216,9 +217,10 @@ def _mesh_calls(s: Scene) -> Iterator[Call]:
     yield Call("mesh.orient", m.orient, {"mesh": s.mesh})
     yield Call("mesh.merge_vertices", m.merge_vertices, {"mesh": s.mesh})
     yield Call("mesh.drop_degenerate", m.drop_degenerate, {"mesh": s.mesh})
-    yield Call("mesh.fill_holes", m.fill_holes, {"mesh": s.mesh, "max_width": 1.0})
-    yield Call("mesh.repair", m.repair, {"mesh": s.mesh, "tolerance": 0.01, "max_width": 1.0})
-    yield Call("mesh.remove_self_intersections", m.remove_self_intersections, {"mesh": s.mesh, "rings": 4})
+    yield Call("mesh.fill_holes", m.fill_holes, {"mesh": s.torn, "max_width": 1.5})
+    yield Call("mesh.fill_holes(fair)", m.fill_holes, {"mesh": s.torn, "max_width": 1.5, "fair": True})
+    yield Call("mesh.repair", m.repair, {"mesh": s.torn, "tolerance": 0.01, "max_width": 1.5})
+    yield Call("mesh.remove_self_intersections", m.remove_self_intersections, {"mesh": s.crossed, "rings": 4})
     yield Call("mesh.hausdorff", m.hausdorff, {"a": s.mesh, "b": s.other, "samples": 50, **cpu})
     yield Call("mesh.simplify", m.simplify, {"mesh": s.mesh, "tolerance": 0.1, **cpu})
     yield Call("mesh.simplify(face_count)", m.simplify, {"mesh": s.mesh, "face_count": 8, **cpu})

@@ -56,8 +56,7 @@ def mesh_volume_charts(subject: Subject, device: Any, quick: bool) -> list[Chart
     - "from_volume": voxel size, method and adaptivity of the conversion back, by the Hausdorff distance to the mesh.
     - "sdf_gradients": voxel size and order against the direction to the closest point.
     """
-    from geokit.accuracy.charts.from_mesh import from_mesh_chart
-    from geokit.accuracy.charts.from_volume import from_volume_chart
+    from geokit.accuracy.charts.conversions import from_mesh_chart, from_volume_chart
     from geokit.accuracy.charts.gradients import sdf_gradients_chart
     from geokit.accuracy.charts.sampling import sdf_sampling_chart
     from geokit.accuracy.charts.volume_setup import NearSurface
@@ -76,7 +75,7 @@ def volume_charts(subject: Subject, device: Any, quick: bool) -> list[Chart]:
     Raises:
         UnsupportedGridError: The grid's values are not floating point or quantized.
     """
-    from geokit.accuracy.charts.from_volume import isosurface_chart
+    from geokit.accuracy.charts.conversions import isosurface_chart
     from geokit.accuracy.charts.gradients import gradients_chart
     from geokit.accuracy.charts.sampling import sampling_chart
     from geokit.accuracy.charts.volume_points import VolumePoints

@@ -29,7 +29,8 @@ class Query:
             nothing. Others are refused while a tape of warp records the object, where it would get zeros.
         inputs: Parameters that may be tensors with gradients; by default ``rows``.
         holders: Keywords whose objects may hold such tensors, besides the first parameter.
-        is_replayed: Whether only its launches depend on the rows: small calls on a CPU repeat them alone.
+        is_replayed: Whether only its launches depend on the rows: small calls on a CPU repeat them alone, and a CUDA
+            graph may capture them.
         least_rows: Fewest rows on GPUs for each of several devices, which answer blocks of them; None where an object
             on several devices answers by itself.
         row_bytes: Memory that a row needs.

@@ -32,7 +32,7 @@ from geokit.core.interop.arrays import (
     widened,
 )
 from geokit.core.interop.objects import points_of
-from geokit.core.launches import prepared
+from geokit.core.launches import captured, prepared
 from geokit.core.memory.device_arena import Scratch, ScratchArray
 from geokit.core.memory.host_array import HostArray, row_of
 from geokit.core.memory.pinned import FEWEST_ROWS, Pinned, PinnedArray, uses_pinned_memory
@@ -167,6 +167,7 @@ def read_vectors(
         source, lead = flat_rows(source)
     rows, is_float32 = _as_rows(source, name)
     if rows.device != device:
+        captured.refuse(device, f"{name}: rows on {rows.device} are copied to {device}")
         rows = rows.to(device)
     if is_float32 and not keep_float32:
         rows = _widen(rows)
@@ -385,6 +386,7 @@ def _read_numpy(
         raise InputError(f"{name}: shape {table.shape} is not (N, 3); {_remedy(table.shape)}")
     if not defer and not _all_within(table, largest):
         _refuse_nonfinite(table, name, first_row, largest)
+    captured.refuse(device, f"{name}: rows in host memory are copied to {device}")
     if recording := prepared.current():
         table = recording.rows_of(values, table, largest=None if defer else largest)
     if pin and len(table) < FEWEST_ROWS and uses_pinned_memory(device):
@@ -514,7 +516,7 @@ def _widen(rows: "wp.array") -> "wp.array":
 
 
 def _require_finite(rows: "wp.array", name: str, first_row: int, largest: float = LARGEST_FLOAT) -> None:
-    if len(rows) == 0:
+    if len(rows) == 0 or captured.is_captured(rows.device):
         return
     if isinstance(rows, HostArray) or rows.device.is_cpu:
         _refuse_nonfinite(rows.numpy(), name, first_row, largest)

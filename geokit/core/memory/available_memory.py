@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from geokit.core.base.system import UNLIMITED, limits, said
+from geokit.core.launches import captured
 from geokit.core.launches.cuda_driver import cuda_driver
 from geokit.errors import DeviceMemoryError
 
@@ -57,6 +58,8 @@ def require_room(
     Raises:
         DeviceMemoryError: They are not free; the message says how many are.
     """
+    if device is not None and captured.is_captured(device):
+        return  # the driver is not asked then, and a graph takes calls that have had the room
     have = available_host() if device is None else available(device)
     if need > have:
         where = "" if device is None else f" on {device.alias}"

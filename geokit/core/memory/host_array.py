@@ -41,6 +41,10 @@ class HostArray(KernelArray):
             recording.read(self.values)
         return self.values
 
+    def is_raised(self, place: int) -> bool:
+        """Whether there is something to do, of which a flag tells."""
+        return bool(self.numpy()[place])
+
     @property
     def device(self) -> "wp.Device":
         import warp as wp

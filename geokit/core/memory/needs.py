@@ -16,6 +16,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, ParamSpec, TypeVar
 
 from geokit.core.base.forks import renew_after_fork
+from geokit.core.launches import captured
 from geokit.core.memory import available_memory
 from geokit.errors import LARGEST_NEED, DeviceMemoryError, GeokitError, InputError
 
@@ -122,6 +123,8 @@ def guarded(
             raise InputError(
                 f"{what}: a single array of this would have more than 2^31 - 1 rows; give it less at a time"
             ) from error
+        if captured.WAITED in str(error):
+            raise InputError(f"{what}: not while a CUDA graph is captured, as it waits for results") from error
         if not is_out_of_memory(error):
             raise
         # What the operation has made so far is freed, so that there is memory for the message.

@@ -6,12 +6,13 @@ neither.
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from geokit.core.launches import prepared, warp_private
+from geokit.core.launches import captured, prepared, warp_private
 from geokit.core.memory.host_array import HostArray
 
 if TYPE_CHECKING:
@@ -24,6 +25,8 @@ FEWEST_ROWS = 2048
 # Holds the rows and results of most queries below FEWEST_ROWS. Larger arrays get pinned memory that is not kept.
 BUFFER_BYTES = 1 << 18
 ALIGNMENT = 64
+# Flags of a query.
+MOST_FLAGS = 8
 
 # Idle buffers, each with the device whose kernels may still write to it, or None.
 _idle: list[tuple[np.ndarray, Any]] = []
@@ -109,6 +112,18 @@ class PinnedArray(HostArray):
         return super().warp.to(self.device)
 
 
+class _UnreadFlags(PinnedArray):
+    """Flags of launches that a graph captures: the host reads none, and does all work of which they tell the need."""
+
+    __slots__ = ()
+
+    def numpy(self) -> np.ndarray:
+        return np.zeros_like(self.values)
+
+    def is_raised(self, place: int) -> bool:
+        return True
+
+
 def host_arrays(device: "wp.Device", *shapes: tuple[tuple[int, ...], Any]) -> list[HostArray]:
     """Uninitialized arrays of NumPy shapes and types for kernel results that the host reads soon.
 
@@ -121,12 +136,26 @@ def host_arrays(device: "wp.Device", *shapes: tuple[tuple[int, ...], Any]) -> li
 
 
 def host_flags(count: int, device: "wp.Device") -> HostArray:
-    """``count`` int32 flags, initially zero, that kernels raise: a row is not finite, a query is undecided."""
+    """``count`` int32 flags, initially zero, that kernels raise: a row is not finite, a query is undecided.
+
+    Whether there is more to do is asked by :meth:`geokit.core.memory.host_array.HostArray.is_raised`.
+    """
+    if captured.is_captured(device):
+        unread = _unread(device.alias)
+        return _UnreadFlags(unread.values[:count], unread.pinned)
     (raised,) = host_arrays(device, ((count,), np.int32))
     raised.values.fill(0)
     if recording := prepared.current():
         recording.flags(raised)
     return raised
+
+
+@functools.lru_cache(maxsize=16)
+def _unread(device: str) -> PinnedArray:
+    """Where graphs raise their flags, for as long as the process lives."""
+    import warp as wp
+
+    return Pinned(wp.get_device(device)).take((MOST_FLAGS,), np.int32)
 
 
 def uses_pinned_memory(device: "wp.Device") -> bool:

@@ -12,6 +12,7 @@ from geokit.core import launcher
 from geokit.core.base.query import Query
 from geokit.core.gradients.rules import held_by, is_tracked
 from geokit.core.interop import user_arrays
+from geokit.core.launches import captured
 from geokit.core.require import read_array, require_affine_maps
 from geokit.errors import InputError
 
@@ -146,6 +147,7 @@ def _mover(count: int, poses: int, device: Any) -> Callable[..., Any]:
 
     if count * poses > np.iinfo(np.int32).max:
         raise InputError(f"transform: {poses} poses of {count} rows are more than 2^31 - 1; ask for fewer at a time")
+    captured.refuse(device, "transform: many poses are copied from the host")
     starts = wp.array(count * np.arange(poses + 1, dtype=np.int32), dtype=wp.int32, device=device)
     return lambda rows, maps, turned: move_packed(rows, starts, maps, turned=turned, count=count * poses)
 

@@ -18,6 +18,7 @@ from geokit.core.launches import prepared
 from geokit.core.memory.needs import estimated, guarded
 from geokit.core.memory.needs import rows as count
 from geokit.core.poses.move import BYTES_PER_MOVE, answer_placed, refuse_tracked
+from geokit.core.query import in_graphs
 
 __all__ = ["query", "transform_axes"]
 
@@ -81,10 +82,15 @@ def ask(query: Query, given: tuple[Any, ...], options: dict[str, Any]) -> Any:
 
 
 def _search(query: Query, given: tuple[Any, ...], options: dict[str, Any]) -> Any:
-    # 5. An object that another thread may update meanwhile is asked as it is now.
+    # 5. A call that a CUDA graph captures was made before.
+    return in_graphs.answer(query, _asked, given, options)
+
+
+def _asked(query: Query, given: tuple[Any, ...], options: dict[str, Any]) -> Any:
+    # 6. An object that another thread may update meanwhile is asked as it is now.
     if query.is_method and given and hasattr(type(given[0]), "update"):
         given = (snapshot(given[0]), *given[1:])
-    # 6. The function itself; where memory runs out, the error says what the call needs.
+    # 7. The function itself; where memory runs out, the error says what the call needs.
     return guarded(query.name, functools.partial(_need, query, *given, **options), query.function, *given, **options)
 
 

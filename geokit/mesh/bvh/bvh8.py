@@ -143,7 +143,7 @@ def place_triangles(
     """
     import warp as wp
 
-    from geokit.mesh.bvh.bvh8_leaves_cpu_kernels import place_blocks_kernel
+    from geokit.mesh.bvh.bvh8_build_cpu_kernels import place_blocks_kernel
     from geokit.mesh.bvh.leaf_planes_kernels import PLANE_ROWS
 
     device, count = slot_triangle.device, len(slot_triangle)
@@ -163,7 +163,7 @@ def ray_leaves(
     """The packed leaves for rays; the arguments are those and the answer of :func:`place_triangles`."""
     import warp as wp
 
-    from geokit.mesh.bvh.bvh8_leaves_cpu_kernels import LEAF_WORDS, ray_leaves_kernel
+    from geokit.mesh.bvh.bvh8_build_cpu_kernels import LEAF_WORDS, ray_leaves_kernel
 
     device, blocks = slot_triangle.device, len(slot_triangle) // WIDTH
     leaves = tree_array(LEAF_WORDS * blocks, wp.float32, device)

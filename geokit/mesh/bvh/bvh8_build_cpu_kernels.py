@@ -1,4 +1,4 @@
-"""Build of the CPU tree: binned surface area heuristic, eight children per node.
+"""Build of the CPU tree: binned surface area heuristic, eight children per node, leaves of eight triangles.
 
 Warp's host builders run on one thread and read boxes through an index. Here the boxes themselves are moved, and all
 threads build subtrees. The node numbers do not depend on the number of threads.
@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 
 from geokit.core import cpp
+from geokit.mesh.bvh.leaf_planes_kernels import FLAT, NOWHERE, PLANE_ROWS, SHORTEST
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -38,6 +39,16 @@ WAITING_WORDS = 27
 NO_CHILD = 0
 # Numbers of a reference, see bvh8_build_cpu.inl.
 REFERENCE = 8
+# Words of a ray leaf: nine rows of eight 16-bit numbers, then the HEAD; see bvh8_leaves_cpu.inl.
+LEAF_WORDS = 48
+HEAD = 36
+# Ratio of a triangle's height to its longest edge, below which t is that of the plane; see ray_triangle.inl.
+SLIVER = np.float32(1e-3)
+# Rounding error of a ray across its direction, in local units: coordinates up to 2, differences up to 3, and slopes
+# times those, each rounded by 6e-8, add up to 1.3e-6 in the worst case.
+RAY_ERROR = 2.5e-6
+# Least quantum: 1 / quantum, and its products with what RAY_ERROR leaves, stay small in float32.
+LEAST_QUANTUM = 2.0**-30
 
 _CONSTANTS = {
     "BINS": BINS,
@@ -50,6 +61,18 @@ _CONSTANTS = {
     "NO_CHILD": NO_CHILD,
     "STACK": STACK,
     "WAITING_WORDS": WAITING_WORDS,
+}
+_LEAF_CONSTANTS = {
+    "WIDTH": WIDTH,
+    "PLANE_ROWS": PLANE_ROWS,
+    "NOWHERE": NOWHERE,
+    "FLAT": FLAT,
+    "SHORTEST": SHORTEST,
+    "LEAF_WORDS": LEAF_WORDS,
+    "HEAD": HEAD,
+    "SLIVER": SLIVER,
+    "RAY_ERROR": RAY_ERROR,
+    "LEAST_QUANTUM": LEAST_QUANTUM,
 }
 
 
@@ -186,3 +209,15 @@ def block_boxes_kernel(
 @cpp.native_item("mesh/bvh/bvh8_build_cpu.inl", "refit_nodes", **_CONSTANTS)
 def refit_kernel(first: int):
     """Launched for one item: there are few nodes compared with triangles."""
+
+
+@wp.kernel
+@cpp.native_item("mesh/bvh/bvh8_leaves_cpu.inl", "place_block", **_LEAF_CONSTANTS)
+def place_blocks_kernel(first: int):
+    """One item is a block of slots; ``begin`` has the first slot of each tree, and their number."""
+
+
+@wp.kernel
+@cpp.native_item("mesh/bvh/bvh8_leaves_cpu.inl", "pack_leaf", **_LEAF_CONSTANTS)
+def ray_leaves_kernel(first: int):
+    """Pack the leaves of the same blocks into the form that rays read."""

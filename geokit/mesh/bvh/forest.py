@@ -77,7 +77,7 @@ class Forest:
     def ray_table(self) -> NDArray[Any]:
         """The same with leaves for rays."""
         from geokit.mesh.bvh.bvh8 import ray_leaves
-        from geokit.mesh.bvh.bvh8_leaves_cpu_kernels import LEAF_WORDS
+        from geokit.mesh.bvh.bvh8_build_cpu_kernels import LEAF_WORDS
 
         # It has the addresses of leaves that this object keeps: threads must not make them twice.
         with self._lock:

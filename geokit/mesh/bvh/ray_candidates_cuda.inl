@@ -166,12 +166,10 @@ static constexpr auto first_hit = [](int ray, const wp::array_t<wp::vec3d>& orig
                                      wp::array_t<wp::vec3d>& out_barycentric, wp::array_t<int>& out_bad) {
     point start, direction;
     double t_max;
-    if (!fetch_ray(origins, directions, ray, max_distance, start, direction, t_max, out_bad)) {
-        out_triangle_id.data[ray] = NO_CANDIDATE;
-        return;
-    }
     int found[CANDIDATES];
-    find_candidates(tree, start, direction, t_min, t_max, found);
+    found[0] = NO_CANDIDATE;
+    if (fetch_ray(origins, directions, ray, max_distance, start, direction, t_max, out_bad))
+        find_candidates(tree, start, direction, t_min, t_max, found);
     if (found[0] == UNDECIDED) {
         out_triangle_id.data[ray] = UNDECIDED;
         out_bad.data[1] = 1;
@@ -206,9 +204,10 @@ static constexpr auto any_hit = [](int ray, const wp::array_t<wp::vec3d>& origin
                                    double max_distance, wp::array_t<bool>& out_occluded, wp::array_t<int>& out_bad) {
     point start, direction;
     double t_max;
-    if (!fetch_ray(origins, directions, ray, max_distance, start, direction, t_max, out_bad)) return;
     int found[CANDIDATES];
-    find_candidates(tree, start, direction, t_min, t_max, found);
+    found[0] = NO_CANDIDATE;
+    if (fetch_ray(origins, directions, ray, max_distance, start, direction, t_max, out_bad))
+        find_candidates(tree, start, direction, t_min, t_max, found);
     if (found[0] == UNDECIDED) {
         ((unsigned char*)out_occluded.data)[ray] = LEFT_OVER;
         out_bad.data[1] = 1;

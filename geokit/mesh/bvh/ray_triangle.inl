@@ -19,7 +19,7 @@ static constexpr auto pick = [](const point& p, int k) { return k == 0 ? p[0] : 
 static constexpr auto pick = [](const point& p, int k) { return p[k]; };
 #endif
 // A ray, and its length in units of its direction. False, and out_bad[0] is set, for one that has no direction or is not
-// finite: the host rejects the whole batch then and names the row.
+// finite: the host rejects the whole batch then and names the row; where a graph makes the launch it is a miss.
 static constexpr auto fetch_ray = [](const wp::array_t<wp::vec3d>& origins, const wp::array_t<wp::vec3d>& directions,
                                      int ray, double max_distance, point& start, point& direction, double& t_max,
                                      wp::array_t<int>& out_bad) {

@@ -22,8 +22,8 @@ static constexpr auto walk_rays = [](const SurfaceTree& tree, const wp::array_t<
     r.weight_c = 0.0;
     r.height = 0;
     r.id = begin;
-    if (!fetch_ray(origins, directions, begin, max_distance, r.start, r.direction, r.best, out_bad)) {
-        // The traversal must stay within its arrays.
+    bool reached = fetch_ray(origins, directions, begin, max_distance, r.start, r.direction, r.best, out_bad);
+    if (!reached) {  // a miss
         r.start = tree.origin;
         r.direction = point(1.0, 0.0, 0.0);
         r.best = max_distance;
@@ -43,7 +43,6 @@ static constexpr auto walk_rays = [](const SurfaceTree& tree, const wp::array_t<
     };
     const float ix = reciprocal_of(along[0]), iy = reciprocal_of(along[1]), iz = reciprocal_of(along[2]);
     const double far = wp::max(wp::max(wp::abs(from[0]), wp::abs(from[1])), wp::abs(from[2]));
-    bool reached = true;
     if (far > NEAR_START) {
         // Slightly early and late: these reciprocals have the precision of float32, and the cube has a margin.
         const double edge = 1.0 + 1e-5 + 1e-6 * far;

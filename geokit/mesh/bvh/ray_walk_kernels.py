@@ -13,8 +13,7 @@ import warp as wp
 
 from geokit.core import cpp
 from geokit.mesh.bvh.bvh2_cuda_kernels import NODE_CONSTANTS
-from geokit.mesh.bvh.bvh8_build_cpu_kernels import STACK
-from geokit.mesh.bvh.bvh8_leaves_cpu_kernels import HEAD, LEAF_WORDS, SLIVER
+from geokit.mesh.bvh.bvh8_build_cpu_kernels import HEAD, LEAF_WORDS, SLIVER, STACK
 from geokit.mesh.bvh.leaf_planes_kernels import PLANE_ROWS
 from geokit.mesh.bvh.tree_kernels import LEFT_OVER, NO_CANDIDATE, UNDECIDED, SurfaceTree
 

@@ -4,13 +4,20 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
+from geokit.core import cpp
 from geokit.core.atomic_kernels import add_to
+from geokit.mesh.bvh.bvh2_cuda_kernels import NODE_CONSTANTS
+from geokit.mesh.bvh.bvh8_build_cpu_kernels import STACK
 
 wp.set_module_options({"enable_backward": False})
 
 # Local coordinates lie in [-1, 1] and are rounded to float32 by at most 2^-25 (half a unit in the last place) per axis;
 # 2e-7 covers three axes and the rounding of the box distance itself, about twice over.
 BOX_PADDING = 2.0e-7
+# Boxes end here, in local units: the mesh lies in [-1, 1], and the boxes of absent children lie beyond this.
+FARTHEST = 1.0e18
+
+BOX_CONSTANTS = {**NODE_CONSTANTS, "FARTHEST": FARTHEST, "STACK": STACK}
 
 # First entry of a ray's candidate list: no candidate; and: the complete traversal must decide.
 NO_CANDIDATE = wp.constant(-1)
@@ -89,3 +96,13 @@ def list_wide_kernel(
         if place < out_slot.shape[0]:
             out_slot[place] = slot
             out_area[place] = area[slot]
+
+
+@cpp.func_native("mesh/bvh/box_walk.inl", **BOX_CONSTANTS)
+def slot_box(tree: SurfaceTree, slot: int, out_boxes: wp.array(dtype=wp.float32)): ...
+
+
+@wp.kernel
+def slot_boxes_kernel(first: int, tree: SurfaceTree, out_boxes: wp.array(dtype=wp.float32)):
+    """For each block of eight slots their local boxes, six rows of eight: lower x y z, upper x y z."""
+    slot_box(tree, first + wp.tid(), out_boxes)

@@ -80,7 +80,7 @@ class OverlapQueries:
         """
         import warp as wp
 
-        from geokit.mesh.queries.overlaps_kernels import (
+        from geokit.mesh.queries.intersecting_kernels import (
             count_overlaps_kernel,
             list_overlaps_kernel,
             triangle_of_key_kernel,
@@ -216,7 +216,7 @@ class OverlapQueries:
         leaf."""
         import warp as wp
 
-        from geokit.mesh.bvh.box_walk_kernels import slot_boxes_kernel
+        from geokit.mesh.bvh.tree_kernels import slot_boxes_kernel
 
         slots = len(self._tree.slot_triangle) if self._device.is_cpu else 0
         boxes = wp.empty(6 * slots, dtype=wp.float32, device=self._device)
@@ -241,7 +241,7 @@ def require_surface(surface: OverlapQueries, other: OverlapQueries) -> OverlapQu
 
 def _require_boxes(lower: user_arrays.Batch, upper: user_arrays.Batch) -> None:
 
-    from geokit.mesh.queries.overlaps_kernels import first_inverted_kernel
+    from geokit.mesh.queries.intersecting_kernels import first_inverted_kernel
 
     row = user_arrays.reported_row(first_inverted_kernel, lower.rows, [upper.rows])
     if row >= 0:

@@ -347,7 +347,7 @@ class RayQueries:
         launcher.launch(*first, [*outputs, bad], self._device, grain=1)
 
         def finish() -> None:
-            if again is not None and bad.numpy()[1]:
+            if again is not None and bad.is_raised(1):
                 launcher.launch(*again, [*outputs, bad], self._device)
             # Waits for the launches, so that the answer is whole.
             user_arrays.refuse_rays(bad, rays, heading, SHORTEST_DIRECTION)

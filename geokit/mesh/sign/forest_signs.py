@@ -214,7 +214,7 @@ def _self_intersecting(forest: Forest, meshes: NDArray[np.int64]) -> NDArray[np.
     """Which of some meshes have self-intersections, as :meth:`geokit.mesh.Surface.self_intersections` lists them."""
     import warp as wp
 
-    from geokit.mesh.queries import forest_pairs_cpu_kernels as kernels
+    from geokit.mesh.queries import intersecting_kernels as kernels
 
     device, count, slots = forest.device, len(forest.scales), int(forest.slots[-1])
     boxes: Any = wp.empty(6 * slots, dtype=wp.float32, device=device)

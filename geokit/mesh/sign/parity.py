@@ -27,7 +27,7 @@ def any_missed(triangle_id: "wp.array") -> bool:
 
     found = host_flags(1, triangle_id.device)
     launcher.launch(missed_kernel, len(triangle_id), [triangle_id], [found], triangle_id.device)
-    return bool(found.numpy()[0])
+    return found.is_raised(0)
 
 
 def by_parity(surface: Any, points: "wp.array", distance: "wp.array") -> None:

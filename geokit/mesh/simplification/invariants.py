@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.surfaces.surface import Surface
 from geokit.mesh.topology.audit import audit_topology
-from geokit.mesh.topology.connectivity import MeshTopology, connected_components, mesh_topology
+from geokit.mesh.topology.connectivity import MeshTopology, connected_components, mesh_topology, next_half_edge
 
 __all__ = ["Shape", "alike_near", "shape_of", "turned_faces"]
 
@@ -45,18 +45,8 @@ class Shape(NamedTuple):
 def shape_of(mesh: TriangleMesh) -> Shape:
     whole = mesh_topology(mesh)
     report = audit_topology(mesh, whole)
-    return Shape(
-        watertight=report.watertight,
-        manifold=report.manifold,
-        oriented=report.oriented,
-        component_count=report.component_count,
-        euler_number=report.euler_number,
-        boundary_loop_count=_boundary_loops(whole),
-        non_manifold_edge_count=report.non_manifold_edge_count,
-        non_manifold_vertex_count=report.non_manifold_vertex_count,
-        degenerate_count=report.degenerate_count,
-        duplicate_count=report.duplicate_count,
-    )
+    named = {name: getattr(report, name) for name in Shape._fields if name != "boundary_loop_count"}
+    return Shape(**named, boundary_loop_count=_boundary_loops(whole))
 
 
 def _boundary_loops(whole: MeshTopology) -> int:
@@ -65,7 +55,7 @@ def _boundary_loops(whole: MeshTopology) -> int:
     if edges.boundary_count == 0:
         return 0
     half_edge = edges.order[edges.starts[edges.uses == 1]]
-    end = edges.faces.reshape(-1)[np.where(half_edge % 3 == 2, half_edge - 2, half_edge + 1)]
+    end = edges.start[next_half_edge(half_edge)]
     position, at = np.unique(np.concatenate([edges.start[half_edge], end]), return_inverse=True)
     label = connected_components(len(position), at[: len(half_edge)], at[len(half_edge) :])
     return int(np.count_nonzero(label == np.arange(len(position))))

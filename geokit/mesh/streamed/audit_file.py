@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,6 @@ from geokit.formats.blocks.boxes import Boxes
 from geokit.formats.blocks.records import AT_A_TIME, BYTES_AT_A_TIME, Buckets, Known, survey, work_folder
 from geokit.formats.blocks.triangles import TriangleFile, open_triangles
 from geokit.mesh.model.triangle_mesh import TriangleMesh
-from geokit.mesh.streamed.order_statistics import OrderStatistics
 from geokit.mesh.topology.audit import (
     ASPECT_QUANTILES,
     MeshAudit,
@@ -29,7 +28,7 @@ from geokit.mesh.topology.audit import (
     audit_topology,
     diagonal_of,
 )
-from geokit.mesh.topology.connectivity import connected_components, mesh_topology
+from geokit.mesh.topology.connectivity import connected_components, mesh_topology, next_half_edge
 from geokit.mesh.topology.doubled_faces import back_to_back_pairs
 from geokit.mesh.topology.measures import measure_faces
 
@@ -37,6 +36,8 @@ __all__ = ["audit_file"]
 
 # Triangles that stand for all where these are divided.
 SAMPLE_SIZE = 1 << 16
+# Bits of a number that one pass decides, and numbers that are read at a time.
+BITS, NUMBERS_AT_A_TIME = 16, 1 << 20
 
 # Memory for each triangle of a part.
 BYTES_PER_TRIANGLE = 700
@@ -144,8 +145,7 @@ class _Sums:
             return here[np.take_along_axis(ends, rank[ends].argmin(axis=1)[:, None], axis=1)[:, 0]]
 
         half_edge = topology.order[topology.starts]
-        following = half_edge + np.where(half_edge % 3 == 2, -2, 1)
-        edges = is_here(np.stack([topology.start[half_edge], topology.start[following]], axis=1))
+        edges = is_here(topology.start[np.stack([half_edge, next_half_edge(half_edge)], axis=1)])
         self._edge_count += int(np.count_nonzero(edges))
         self._boundary += int(np.count_nonzero(edges & (topology.uses == 1)))
         self._non_manifold += int(np.count_nonzero(edges & (topology.uses > 2)))
@@ -274,3 +274,43 @@ class Tiles:
         """Corners (N, 3, 3) of a box's triangles, and the numbers of shared ones (N,); its file is removed."""
         records = self._buckets.file(box).take()
         return records["corners"].astype(np.float64), records["shared"].copy()
+
+
+class OrderStatistics:
+    """Numbers from 0 to infinity, in a file that grows, whose order statistics are found without sorting them.
+
+    The bits of such numbers, taken as integers, have their order. Each of four passes counts 16 more bits of those that
+    begin like the number which is looked for.
+
+    Args:
+        path: The file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._count = path, 0
+
+    def add(self, numbers: NDArray[np.float64]) -> None:
+        """Add numbers, none of them negative or NaN."""
+        with open(self._path, "ab") as file:
+            file.write(np.ascontiguousarray(numbers).data)
+        self._count += len(numbers)
+
+    def at(self, ranks: Sequence[int]) -> NDArray[np.float64]:
+        """The numbers at some ranks, counted from 0."""
+        found, left = np.zeros(len(ranks), np.uint64), list(ranks)
+        for shift in range(64 - BITS, -1, -BITS):
+            # Ranks that begin alike share a count.
+            prefixes = sorted({int(number) >> (shift + BITS) for number in found})
+            counts = {prefix: np.zeros(1 << BITS, np.int64) for prefix in prefixes}
+            for first in range(0, self._count, NUMBERS_AT_A_TIME):
+                bits = np.fromfile(self._path, np.uint64, NUMBERS_AT_A_TIME, offset=8 * first)
+                next_bits = (bits >> np.uint64(shift)) & np.uint64((1 << BITS) - 1)
+                for prefix, count in counts.items():
+                    begun = next_bits if shift + BITS == 64 else next_bits[bits >> np.uint64(shift + BITS) == prefix]
+                    count += np.bincount(begun.astype(np.int64), minlength=1 << BITS)
+            for k, rank in enumerate(left):
+                ends = np.cumsum(counts[int(found[k]) >> (shift + BITS)])
+                digit = int(np.searchsorted(ends, rank, side="right"))
+                left[k] = rank - (int(ends[digit - 1]) if digit else 0)
+                found[k] |= np.uint64(digit << shift)
+        return found.view(np.float64)

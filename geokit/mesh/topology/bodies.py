@@ -22,6 +22,9 @@ from geokit.mesh.topology.orientation import FLAT_SHARE
 
 __all__ = ["Bodies", "closed_bodies"]
 
+Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
 # Faces around an edge that are closer than this lie in one plane [radians]: they are the contact of two bodies.
 SAME_ANGLE = 1e-5
 # Rounds in which edges are paired; the last takes all that are left.
@@ -65,7 +68,7 @@ def closed_bodies(mesh: TriangleMesh, known: MeshTopology | None = None) -> list
     return sorted(found, key=lambda bodies: -np.count_nonzero(bodies.label >= 0))
 
 
-def _bodies(mesh: TriangleMesh, kept: NDArray[np.int64], partner: NDArray[np.int64]) -> Bodies:
+def _bodies(mesh: TriangleMesh, kept: Indices, partner: Indices) -> Bodies:
     paired = np.flatnonzero(partner >= 0)
     other = partner[paired]
     lowest = connected_components(len(kept), paired // 3, other // 3)
@@ -85,9 +88,7 @@ def _bodies(mesh: TriangleMesh, kept: NDArray[np.int64], partner: NDArray[np.int
     return Bodies(label, volume, corners, mesh.vertices[mesh.faces[kept].reshape(-1)[used]])
 
 
-def _solid(
-    mesh: TriangleMesh, kept: NDArray[np.int64], lowest: NDArray[np.int32]
-) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+def _solid(mesh: TriangleMesh, kept: Indices, lowest: NDArray[np.int32]) -> tuple[NDArray[np.int32], Floats]:
     """Numbers of the components that bound a volume for each face (F,), and their volumes."""
     closed = lowest >= 0
     names, number = np.unique(lowest[closed], return_inverse=True)
@@ -102,9 +103,7 @@ def _solid(
     return label, volume[solid]
 
 
-def _find_partners(
-    mesh: TriangleMesh, kept: NDArray[np.int64], topology: Topology, outermost: bool, partner: NDArray[np.int64]
-) -> bool:
+def _find_partners(mesh: TriangleMesh, kept: Indices, topology: Topology, outermost: bool, partner: Indices) -> bool:
     """Set the half-edge across each half-edge, (3 F,), which runs in the opposite direction.
 
     Returns whether there are edges of several faces that do not go up in pairs.
@@ -137,10 +136,7 @@ def _find_partners(
 
 
 def _pair_alike(
-    keys: tuple[NDArray[Any], NDArray[Any]],
-    half_edges: NDArray[np.int64],
-    topology: Topology,
-    partner: NDArray[np.int64],
+    keys: tuple[NDArray[Any], NDArray[Any]], half_edges: Indices, topology: Topology, partner: Indices
 ) -> None:
     """Pair the half-edges that are the only two with their keys, in place, if they run in opposite directions."""
     order = np.lexsort(keys)
@@ -155,13 +151,13 @@ def _pair_alike(
 
 
 def _pair_by_angle(
-    vertices: NDArray[np.float64],
+    vertices: Floats,
     faces: NDArray[np.int32],
     topology: Topology,
-    half_edges: NDArray[np.int64],
-    edges: NDArray[np.int64],
+    half_edges: Indices,
+    edges: Indices,
     outermost: bool,
-    partner: NDArray[np.int64],
+    partner: Indices,
 ) -> bool:
     """Pair the half-edges of each edge, in place, so that the wedges between paired faces are nested.
 
@@ -213,12 +209,8 @@ def _pair_by_angle(
 
 
 def _angles(
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int32],
-    half_edges: NDArray[np.int64],
-    edges: NDArray[np.int64],
-    forward: NDArray[np.bool_],
-) -> NDArray[np.float64]:
+    vertices: Floats, faces: NDArray[np.int32], half_edges: Indices, edges: Indices, forward: NDArray[np.bool_]
+) -> Floats:
     """Angle of each half-edge's face around its edge, counterclockwise from the edge's first face."""
     face, corner = np.divmod(half_edges, 3)
     start, end, apex = (vertices[faces[face, (corner + shift) % 3]] for shift in range(3))

@@ -29,9 +29,6 @@ __all__ = [
     "position_corners",
 ]
 
-# Rounds in which the fans of all vertices are walked at once, one face per round. This is enough for all but a few
-# apexes, which are then walked one by one.
-FAN_ROUNDS = 32
 # From here on, a number and an index no longer fit into 64 bits together.
 PACKED_END = 2**64
 # Fewest items that justify a kernel launch, and fewest that also justify loading warp.
@@ -158,8 +155,7 @@ class Topology:
     def _sorted_half_edges(self) -> tuple[NDArray[np.uint64], NDArray[Any]]:
         """The edge number of each half-edge in sorted order, and the half-edges, grouped by edge and ascending."""
         count = len(self.start)
-        # Corners are visited with two states each, so indices go up to twice the half-edges.
-        index = np.int32 if 2 * count <= np.iinfo(np.int32).max else np.int64
+        index = np.int32 if count <= np.iinfo(np.int32).max else np.int64
         edge = np.empty(count, np.uint64)
         # Number and index packed into one value where both fit: sorting values is three times faster than sorting
         # indices.
@@ -190,61 +186,13 @@ class Topology:
     def split_vertices(self) -> NDArray[np.int64]:
         """Positions whose faces do not form a single fan, ascending.
 
-        A fan is a sequence of faces around the position, each joined to the next by an edge of exactly two faces; it
-        may be open or closed. All positions are walked at once, first in one direction and, where that ends, in the
-        other.
+        A fan is a sequence of faces around the position, open or closed, joined by edges of exactly two faces each.
         """
-        counts = self.face_counts
-        # The first corner of each position; with repeated indices the last assignment wins.
-        first = np.full(self.position_count, -1, self.order.dtype)
-        first[self.start[::-1]] = np.arange(len(self.start) - 1, -1, -1, dtype=first.dtype)
-        if kernels_pay(self.position_count) and self.order.dtype == np.int32:
-            return np.flatnonzero(self._fans_by_kernel(first) != counts)
-        crossing = self._crossings()
-        position = np.flatnonzero(counts)
-        corner = first[position]
-        seen = np.zeros(self.position_count, np.int64)
-        ended = _walk(crossing, position, corner, 0, seen)
-        _walk(crossing, ended, first[ended], 1, seen)
-        # The starting corner was counted in both directions.
-        seen[ended] -= 1
-        return np.flatnonzero(seen != counts)
-
-    def _fans_by_kernel(self, first: NDArray[np.int32]) -> NDArray[np.int32]:
-        """Number of corners in the fan that contains each position's first corner."""
-        from geokit.mesh.topology.fans_kernels import fan_kernel
-
-        seen = np.empty(self.position_count, np.int32)
-        inputs = [HostArray(first), HostArray(self._links())]
-        launcher.launch(fan_kernel, len(seen), inputs, [HostArray(seen)], launcher.resolve_device("cpu"))
-        return seen
-
-    def _links(self) -> NDArray[Any]:
-        """Twice the half-edge across each one, plus 1 if it runs the same way, (3 F,); negative if there is none."""
-        link = self.twin << 1
-        if not self.oriented:
-            for pair in self.pairs:
-                link[pair[~self.opposed]] |= 1
-        return link
-
-    def _crossings(self) -> NDArray[Any]:
-        """Links from each corner to the next one around its position, (6 F,); -1 if the edge does not have exactly two
-        faces.
-
-        State ``2 c + s`` means leaving corner c: through the half-edge that starts there if s is 0, through the one
-        that ends there if s is 1.
-        """
-        crossing = np.empty((len(self.faces), 3, 2), self.twin.dtype)
-        link = self._links().reshape(-1, 3)
-        for begin in range(0, len(self.faces), BLOCK):
-            rows = slice(begin, begin + BLOCK)
-            across, alike = link[rows] >> 1, (link[rows] & 1).astype(bool)
-            # Where the half-edge across runs the same way, it also starts at this position.
-            through_start, through_end = 2 * next_half_edge(across), 2 * across + 1
-            through_start[alike], through_end[alike] = through_end[alike], through_start[alike]
-            through_start[across < 0] = through_end[across < 0] = -1
-            crossing[rows, :, 0], crossing[rows, :, 1] = through_start, through_end[:, (2, 0, 1)]
-        return crossing.reshape(-1)
+        one, other = self.pairs
+        along = next_half_edge(other)
+        start, end = np.where(self.opposed, (along, other), (other, along))
+        fan = connected_components(len(self.order), np.append(one, next_half_edge(one)), np.append(start, end))
+        return np.flatnonzero(np.bincount(self.start[fan == np.arange(len(fan))]) > 1)
 
     def piece_count(self, collapsed: NDArray[np.int32]) -> int:
         """Number of components that share no position; ``collapsed`` adds those of faces with two equal corners."""
@@ -261,35 +209,6 @@ class Topology:
             one = np.concatenate([one, collapsed[:, (0, 1)].ravel()])
             other = np.concatenate([other, collapsed[:, (1, 2)].ravel()])
         return connected_components(self.position_count, one, other)
-
-
-def _walk(
-    crossing: NDArray[Any], position: NDArray[np.int64], corner: NDArray[Any], way: int, seen: NDArray[np.int64]
-) -> NDArray[np.int64]:
-    """Walk from corner to corner around each position, and add the number of corners to ``seen``.
-
-    Returns the positions whose walk ended.
-    """
-    ended = [position[:0]]
-    state = 2 * corner + way
-    for step in range(1, FAN_ROUNDS + 1):
-        if not len(position):
-            break
-        state = np.take(crossing, state)
-        open_end = state < 0
-        done = open_end | (state >> 1 == corner)
-        if done.any():
-            seen[position[done]] += step
-            ended.append(position[open_end])
-            position, corner, state = position[~done], corner[~done], state[~done]
-    for place, start, at in zip(position.tolist(), corner.tolist(), state.tolist(), strict=True):
-        step = FAN_ROUNDS
-        while at >= 0 and at >> 1 != start:
-            at, step = int(crossing[at]), step + 1
-        seen[place] += step
-        if at < 0:
-            ended.append(np.array([place]))
-    return np.concatenate(ended)
 
 
 def next_half_edge(half_edge: NDArray[Any]) -> NDArray[Any]:

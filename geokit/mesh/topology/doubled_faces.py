@@ -11,6 +11,9 @@ from geokit.mesh.topology.connectivity import Topology, connected_components
 
 __all__ = ["DoubledFaces", "back_to_back_pairs", "doubled_faces", "none_doubled", "with_polygons"]
 
+Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
 # Sine of the angle within which faces lie in one plane: small quads with coordinates of six digits have it.
 FLAT = 1e-3
 
@@ -35,9 +38,7 @@ def none_doubled() -> DoubledFaces:
     return DoubledFaces(np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros(0, bool))
 
 
-def back_to_back_pairs(
-    corners: NDArray[np.int32], repeats: NDArray[np.int64], repeated: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def back_to_back_pairs(corners: NDArray[np.int32], repeats: Indices, repeated: Indices) -> tuple[Indices, Indices]:
     """The faces with copies in both directions, and the number of pairs that each of them makes.
 
     Args:
@@ -57,11 +58,7 @@ def back_to_back_pairs(
 
 
 def doubled_faces(
-    corners: NDArray[np.int32],
-    repeats: NDArray[np.int64],
-    repeated: NDArray[np.int64],
-    label: NDArray[np.int32],
-    closed: NDArray[np.bool_],
+    corners: NDArray[np.int32], repeats: Indices, repeated: Indices, label: NDArray[np.int32], closed: NDArray[np.bool_]
 ) -> DoubledFaces:
     """The copies of faces that lie back to back on closed components.
 
@@ -84,8 +81,8 @@ def doubled_faces(
 
 
 def with_polygons(
-    triangles: NDArray[np.float64], topology: Topology, repeats: NDArray[np.int64], repeated: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    triangles: Floats, topology: Topology, repeats: Indices, repeated: Indices
+) -> tuple[Indices, Indices]:
     """Repeats, and the faces of flat polygons that are written twice, for each side, with different triangles.
 
     Coplanar faces that edges join are such a polygon if as many run one way as the other along each edge: what faces

@@ -9,6 +9,9 @@ from geokit.mesh.topology.rims import Rims
 
 __all__ = ["patches"]
 
+Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
 # Rims with more sides lose ears first: the time for the least area goes with the third power of the sides.
 MOST_SIDES = 256
 # What an edge adds to the area, in shares of its square: of flat patches, all of one area, one has no slivers.
@@ -20,13 +23,8 @@ BLOCK = 1 << 20
 
 
 def patches(
-    rims: Rims,
-    points: NDArray[np.float64],
-    wanted: NDArray[np.bool_],
-    refused: NDArray[np.int64],
-    barred: NDArray[np.int64],
-    beside: NDArray[np.float64],
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    rims: Rims, points: Floats, wanted: NDArray[np.bool_], refused: Indices, barred: Indices, beside: Floats
+) -> tuple[Indices, Indices]:
     """Triangles that fill rims, wound against them.
 
     Args:
@@ -71,18 +69,14 @@ def patches(
     return found, rim[found[:, 0]]
 
 
-def _within(
-    number: NDArray[np.int64], rim: NDArray[np.int64], slot: NDArray[np.int64], points: NDArray[np.int64]
-) -> NDArray[np.int64]:
+def _within(number: Indices, rim: Indices, slot: Indices, points: Indices) -> Indices:
     """Of rows of points, those of the given rims: the rim's place among them, and the places of the points in it."""
     place = np.searchsorted(number, rim[points[:, 0]])
     here = (number[np.minimum(place, len(number) - 1)] == rim[points[:, 0]]) & (slot[points] >= 0).all(axis=1)
     return np.concatenate([place[here, None], slot[points[here]]], axis=1)
 
 
-def _least_area(
-    points: NDArray[np.float64], barred: NDArray[np.int64], refused: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+def _least_area(points: Floats, barred: Indices, refused: Indices) -> tuple[Indices, NDArray[np.bool_]]:
     """The triangles over rims of equally many sides whose area is least.
 
     Args:
@@ -130,9 +124,7 @@ def _least_area(
     return triangles, np.isfinite(after[:, 0, sides - 1])
 
 
-def _cut_ears(
-    points: NDArray[np.float64], barred: NDArray[np.int64], refused: NDArray[np.int64], beside: NDArray[np.float64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _cut_ears(points: Floats, barred: Indices, refused: Indices, beside: Floats) -> tuple[Indices, Indices]:
     """Triangles over two neighboring sides of one rim each, until few sides are left.
 
     In each round those are cut off whose new edge is shorter than that of their neighbors.

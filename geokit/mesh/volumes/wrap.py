@@ -94,12 +94,12 @@ def wrap(
     ``tolerance``, or than ``tolerance + gap`` where a gap was closed. All of this is proven for the mesh that is
     returned, for all points of its faces; nothing is asked of the input.
 
-    Everything grows by about half the tolerance, and edges are rounded off within it. Sheets become plates of about the
-    tolerance. Holes and cracks in the walls of a body are closed if they are narrower than ``gap``, or than about a
-    third of the tolerance. Between sheets that have both sides outside, only those narrower than about 1.3 times the
-    square root of ``tolerance * gap`` are. Through others the wrap goes inside, and covers what is there too: a body
-    with a hole is closed from both sides of its wall. What cannot be reached from outside is left out, unless
-    ``cavities`` are asked for.
+    Everything grows by about half the tolerance. Edges are edges of the wrap again, within the tolerance, where faces
+    of several tolerances meet (measured, not proven). Sheets become plates of about the tolerance. Holes and cracks in
+    the walls of a body are closed if they are narrower than ``gap``, or than about a third of the tolerance. Between
+    sheets that have both sides outside, only those narrower than about 1.3 times the square root of ``tolerance * gap``
+    are. Through others the wrap goes inside, and covers what is there too: a body with a hole is closed from both sides
+    of its wall. What cannot be reached from outside is left out, unless ``cavities`` are asked for.
 
     With an ``offset`` the wrap is that of the input grown by it, which holds all points no farther from it. Every point
     of the wrap is at least ``offset`` from the input, to 1e-12 of the size, and no farther than ``offset +

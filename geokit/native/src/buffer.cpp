@@ -1,6 +1,4 @@
-#include "buffer.h"
-
-#include "errors.h"
+#include "bridge.h"
 
 #include <cerrno>
 #include <cstring>
@@ -8,7 +6,6 @@
 #include <new>
 #include <sys/mman.h>
 #include <unistd.h>
-#include <utility>
 
 namespace geokit {
 

@@ -1,5 +1,3 @@
-#include "check.h"
-
 #include "nano_types.h"
 #include "pulse.h"
 

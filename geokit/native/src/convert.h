@@ -1,10 +1,10 @@
 // Conversion between OpenVDB grids and NanoVDB buffers.
 #pragma once
 
-#include "buffer.h"
+#include "bridge.h"
 #include "library_grids.h"
 
-#include <string>
+#include <nanovdb/NanoVDB.h>
 
 namespace geokit {
 
@@ -40,5 +40,24 @@ openvdb::Vec3DGrid::Ptr to_vec3d(const openvdb::Vec3IGrid& integers);
 // The OpenVDB class that to_openvdb() gives a grid that to_nanovdb() made from one of class `grid_class`. If the two
 // differ, the class must be stored beside the buffer.
 openvdb::GridClass class_after_round_trip(const openvdb::GridBase& grid);
+
+// Affine transforms, read from and written to OpenVDB and NanoVDB without rounding:
+// world = linear * index + offset, in double.
+struct Affine {
+    double linear[3][3];
+    double offset[3];
+};
+
+// Throws BridgeError("unsupported") for a frustum, ("damaged") for values that are not finite.
+Affine affine_of(const openvdb::math::Transform& transform);
+Affine affine_of(const nanovdb::Map& map);
+
+// The simplest of OpenVDB's maps that holds the affine exactly: uniform scale, scale, either with translation, or any.
+// OpenVDB's own simplify() computes the scale as (scale + offset) - offset, which rounds, and drops small shears. It
+// runs in Transform's constructor, and so whenever a grid is copied: set this transform on the last copy. Throws
+// BridgeError("input") if OpenVDB rejects the transform as singular.
+openvdb::math::Transform::Ptr transform_of(const Affine& affine);
+
+void store(const Affine& affine, nanovdb::Map& map);
 
 } // namespace geokit

@@ -1,9 +1,5 @@
-#include "mesh.h"
-
 #include "convert.h"
-#include "errors.h"
-#include "interrupter.h"
-#include "transform.h"
+#include "operations.h"
 
 #include <openvdb/tools/MeshToVolume.h>
 #include <openvdb/tools/VolumeToMesh.h>

@@ -1,7 +1,4 @@
-#include "metadata.h"
-
-#include "convert.h"
-#include "errors.h"
+#include "vdb_file.h"
 
 #include <openvdb/Metadata.h>
 

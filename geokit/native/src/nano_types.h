@@ -1,11 +1,9 @@
 // The NanoVDB grid types that the bridge supports, and dispatch on them.
 #pragma once
 
-#include "errors.h"
+#include "bridge.h"
 
 #include <nanovdb/NanoVDB.h>
-
-#include <string>
 
 namespace geokit {
 

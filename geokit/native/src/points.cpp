@@ -1,8 +1,6 @@
 #include "points.h"
 
-#include "convert.h"
-#include "read.h"
-#include "save.h"
+#include "vdb_file.h"
 
 #include <openvdb/points/AttributeArrayString.h>
 #include <openvdb/points/AttributeGroup.h>

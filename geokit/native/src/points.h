@@ -1,11 +1,7 @@
 // Grids of points: OpenVDB's PointDataGrid as arrays, and arrays as a PointDataGrid. Includes no OpenVDB header.
 #pragma once
 
-#include "errors.h"
-
-#include <cstdint>
-#include <string>
-#include <vector>
+#include "bridge.h"
 
 namespace geokit {
 

@@ -4,6 +4,7 @@
 
 #include "pulse.h"
 
+#include <openvdb/util/NullInterrupter.h>
 #include <openvdb/version.h>
 #include <tbb/parallel_for.h>
 #include <tbb/parallel_invoke.h>
@@ -20,6 +21,19 @@
 #include <utility>
 
 namespace geokit {
+
+// Gives OpenVDB's tools the pulse of an operation. They would go on with half-made values if it returned true; it throws
+// instead.
+struct Interrupter : openvdb::util::NullInterrupter {
+    explicit Interrupter(const Pulse& pulse_) : pulse(pulse_) {}
+    bool wasInterrupted(int = -1) override
+    {
+        pulse();
+        return false;
+    }
+    const Pulse& pulse;
+};
+
 namespace pulsed {
 
 // Of a loop: each takes no longer than a hundredth of it, so a loop of ten seconds answers within a tenth.

@@ -1,7 +1,4 @@
-#include "read.h"
-
-#include "convert.h"
-#include "errors.h"
+#include "vdb_file.h"
 
 #include <openvdb/io/Compression.h>
 #include <openvdb/io/io.h>

@@ -1,7 +1,5 @@
 #include "convert.h"
-#include "errors.h"
 #include "open_grids.h"
-#include "transform.h"
 
 #include <nanovdb/util/OpenToNanoVDB.h>
 

@@ -1,7 +1,6 @@
 #include "convert.h"
 #include "nano_types.h"
 #include "open_grids.h" // before NanoVDB's converter, whose use of createGrid() it changes
-#include "transform.h"
 
 #include <nanovdb/util/NanoToOpenVDB.h>
 

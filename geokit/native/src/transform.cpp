@@ -1,6 +1,4 @@
-#include "transform.h"
-
-#include "errors.h"
+#include "convert.h"
 
 #include <openvdb/io/io.h>
 

@@ -1,5 +1,4 @@
 #include "convert.h"
-#include "errors.h"
 
 #include <cmath>
 

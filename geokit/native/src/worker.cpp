@@ -3,7 +3,7 @@
 //   geokit_vdb_worker inspect MEMORY CPU_SECONDS FILE
 //   geokit_vdb_worker read MEMORY CPU_SECONDS FILE SPOOL_FOLDER [GRID...]
 //
-// MEMORY is in bytes. One line of JSON goes to stdout (see json.h), and nothing else: what libraries print there goes to
+// MEMORY is in bytes. One line of JSON goes to stdout (see bridge.h), and nothing else: what libraries print there goes to
 // stderr. Buffers go into files in SPOOL_FOLDER.
 // Exit status: 0 done, 1 the JSON holds an error, 2 wrong usage. Anything else, or a signal, is a crash.
 

@@ -1,12 +1,5 @@
-#include "write.h"
-
-#include "convert.h"
-#include "errors.h"
-#include "metadata.h"
 #include "nano_types.h"
-#include "pulse.h"
-#include "pulsed_file.h"
-#include "save.h"
+#include "vdb_file.h"
 
 #include <openvdb/io/Archive.h>
 #include <openvdb/io/Compression.h>

@@ -128,8 +128,7 @@ def _vote(
     """Join clusters by the votes of the edges between them until none is left."""
     import warp as wp
 
-    from geokit.points.clouds import orientation_kernels as links
-    from geokit.points.clouds import orientation_votes_kernels as kernels
+    from geokit.points.clouds import orientation_kernels as kernels
 
     count = len(normal)
     pair_bits = (count - 1).bit_length()
@@ -156,8 +155,8 @@ def _vote(
         (pair, vote), total = summed, merged
         launcher.launch(kernels.best_pair_kernel, total, [pair, vote, pair_bits], [best], device)
         launcher.launch(kernels.hook_pair_kernel, count, [pair, vote, pair_bits, best], [hook], device)
-        launcher.launch(links.apply_kernel, count, [hook], [link, best], device)
-        launcher.launch(links.flatten_kernel, count, [], [link], device)
+        launcher.launch(kernels.apply_kernel, count, [hook], [link, best], device)
+        launcher.launch(kernels.flatten_kernel, count, [], [link], device)
         launcher.launch(kernels.rename_kernel, total, [link, pair_bits], [pair, vote], device)
 
 

@@ -8,6 +8,9 @@ An edge is a weight and a number, ``weight << 32 | number``, both of 32 bits: ed
 equal. The number, ``row << bits | column``, is the edge's position in the table of neighbors. Each point has a row of
 all its edges, the least first. Edges at the start of the row that have become internal to a component are skipped for
 good.
+
+A vote says whether two clusters have the same sign, by the sum of all edges between them: positive if they have. Their
+pair is ``low << bits | high`` of their roots. Votes are whole numbers: their sums do not depend on the order.
 """
 
 # mypy: ignore-errors
@@ -31,11 +34,14 @@ BELOW = wp.constant(wp.float64(0.01))
 # Caps of a component: the volume above its lowest point, and above heights that are a quarter as far from its highest
 # point from one to the next.
 CAPS = wp.constant(4)
+Caps = wp.types.vector(length=4, dtype=wp.int64)
 # A smaller cap has to be clearer by this factor, squared: the highest point may be a tip thinner than the spacing,
 # whose normals are wrong together.
 SMALLER = wp.constant(wp.float64(6.0))
 # Points whose volumes are added before they go to their component's sums.
 VOLUME_RUN = wp.constant(64)
+# The vote of an edge that is sure. 2^30 edges of 2^24 are 2^54.
+SURE = wp.constant(wp.float64(16777216.0))
 
 
 @wp.func_native("""
@@ -211,6 +217,17 @@ def best_edge_kernel(
         lower_to(out_best, wp.int32(own), edge[at])
 
 
+@wp.func
+def hook_to(r: int, other: wp.int64, best: wp.array(dtype=wp.int64), parity: wp.int64) -> wp.int64:
+    """The link of root r to another; -1 for the lower one of two that choose each other.
+
+    Edges and pairs are strictly ordered: no longer cycles exist.
+    """
+    if best[wp.int32(other)] == best[r] and wp.int64(r) < other:
+        return wp.int64(-1)
+    return (other << wp.int64(1)) | (parity & wp.int64(1))
+
+
 @wp.kernel
 def hook_kernel(
     first: int,
@@ -229,13 +246,8 @@ def hook_kernel(
     i = wp.int32(wp.uint32(best[r] & wp.int64(0xFFFFFFFF)) >> wp.uint32(bits))
     j = across(best[r], i, bits, neighbor)
     other = (link[i] ^ link[j]) >> wp.int64(1) ^ wp.int64(r)
-    # Edges are strictly ordered: two components may choose each other, but no longer cycles exist.
-    if best[wp.int32(other)] == best[r] and wp.int64(r) < other:
-        return
-    opposite = wp.int64(0)
-    if wp.dot(normal[i], normal[j]) < wp.float64(0.0):
-        opposite = wp.int64(1)
-    out_hook[r] = (other << wp.int64(1)) | ((link[i] ^ link[j] ^ opposite) & wp.int64(1))
+    opposite = wp.where(wp.dot(normal[i], normal[j]) < wp.float64(0.0), wp.int64(1), wp.int64(0))
+    out_hook[r] = hook_to(r, other, best, link[i] ^ link[j] ^ opposite)
 
 
 @wp.kernel
@@ -253,6 +265,171 @@ def apply_kernel(
 @cpp.native_item("points/clouds/orientation.inl", "flatten")
 def flatten_kernel(first: int, out_link: wp.array(dtype=wp.int64)):
     """Points the link of each item directly to its root (path compression)."""
+
+
+@wp.func
+def crosses(
+    edge: wp.int64,
+    i: wp.int32,
+    neighbor: wp.array(dtype=wp.int32, ndim=2),
+    bits: wp.int32,
+    link: wp.array(dtype=wp.int64),
+) -> wp.bool:
+    """Whether i owns the edge and it leads to another cluster."""
+    owner = wp.int32(wp.uint32(edge & wp.int64(0xFFFFFFFF)) >> wp.uint32(bits))
+    return owner == i and (link[across(edge, i, bits, neighbor)] ^ link[i]) > wp.int64(1)
+
+
+@wp.kernel
+def crossing_count_kernel(
+    first: int,
+    neighbor: wp.array(dtype=wp.int32, ndim=2),
+    bits: wp.int32,
+    edge: wp.array(dtype=wp.int64),
+    begin: wp.array(dtype=wp.int32),
+    end: wp.array(dtype=wp.int32),
+    link: wp.array(dtype=wp.int64),
+    out_count: wp.array(dtype=wp.int32),
+):
+    """Number of edges to other clusters of each point, each edge at its owner."""
+    i = first + wp.tid()
+    count = wp.int32(0)
+    for at in range(begin[i], end[i]):
+        if crosses(edge[at], i, neighbor, bits, link):
+            count += 1
+    out_count[i] = count
+
+
+@wp.func
+def pair_of(a: wp.int64, b: wp.int64, bits: wp.int32) -> wp.int64:
+    """The pair of two links' roots."""
+    low = wp.min(a >> wp.int64(1), b >> wp.int64(1))
+    return (low << wp.int64(bits)) | wp.max(a >> wp.int64(1), b >> wp.int64(1))
+
+
+@wp.kernel
+def crossing_kernel(
+    first: int,
+    normal: wp.array(dtype=wp.vec3d),
+    neighbor: wp.array(dtype=wp.int32, ndim=2),
+    bits: wp.int32,
+    edge: wp.array(dtype=wp.int64),
+    begin: wp.array(dtype=wp.int32),
+    end: wp.array(dtype=wp.int32),
+    link: wp.array(dtype=wp.int64),
+    offset: wp.array(dtype=wp.int32),
+    pair_bits: wp.int32,
+    out_pair: wp.array(dtype=wp.int64),
+    out_vote: wp.array(dtype=wp.int64),
+):
+    """Pair and vote of each edge between clusters: the cube of its agreement, so that sure edges outvote the others."""
+    i = first + wp.tid()
+    slot = offset[i]
+    for at in range(begin[i], end[i]):
+        if crosses(edge[at], i, neighbor, bits, link):
+            j = across(edge[at], i, bits, neighbor)
+            sure = wp.float64(1.0) - weight_of(edge[at])
+            vote = wp.int64(sure * sure * sure * SURE)
+            opposite = wp.dot(normal[i], normal[j]) < wp.float64(0.0)
+            if opposite != (((link[i] ^ link[j]) & wp.int64(1)) == wp.int64(1)):
+                vote = -vote
+            out_pair[slot] = pair_of(link[i], link[j], pair_bits)
+            out_vote[slot] = vote
+            slot += 1
+
+
+@wp.kernel
+def head_kernel(first: int, pair: wp.array(dtype=wp.int64), bits: wp.int32, out_head: wp.array(dtype=wp.int32)):
+    """1 for the first of equal pairs, 0 for others and for what is no pair any more."""
+    i = first + wp.tid()
+    head = wp.int32(1)
+    if pair[i] >> wp.int64(2 * bits) != wp.int64(0):
+        head = wp.int32(0)
+    elif i > 0:
+        if pair[i] == pair[i - 1]:
+            head = wp.int32(0)
+    out_head[i] = head
+
+
+@wp.kernel
+def sum_kernel(
+    first: int,
+    pair: wp.array(dtype=wp.int64),
+    vote: wp.array(dtype=wp.int64),
+    count: wp.int32,
+    head: wp.array(dtype=wp.int32),
+    place: wp.array(dtype=wp.int32),
+    out_pair: wp.array(dtype=wp.int64),
+    out_vote: wp.array(dtype=wp.int64),
+):
+    """Each pair once, with the sum of its votes."""
+    i = first + wp.tid()
+    if head[i] == 0:
+        return
+    total = vote[i]
+    at = i + 1
+    while at < count and pair[at] == pair[i]:
+        total += vote[at]
+        at += 1
+    out_pair[place[i] - 1] = pair[i]
+    out_vote[place[i] - 1] = total
+
+
+@wp.kernel
+def best_pair_kernel(
+    first: int,
+    pair: wp.array(dtype=wp.int64),
+    vote: wp.array(dtype=wp.int64),
+    bits: wp.int32,
+    out_best: wp.array(dtype=wp.int64),
+):
+    """The pair with the clearest vote of each cluster, at its root."""
+    i = first + wp.tid()
+    rank = edge_of(wp.float64(1.0) / wp.float64(wp.max(wp.abs(vote[i]), wp.int64(1))), wp.int64(i))
+    low = pair[i] >> wp.int64(bits)
+    lower_to(out_best, wp.int32(low), rank)
+    lower_to(out_best, wp.int32(pair[i] ^ (low << wp.int64(bits))), rank)
+
+
+@wp.kernel
+def hook_pair_kernel(
+    first: int,
+    pair: wp.array(dtype=wp.int64),
+    vote: wp.array(dtype=wp.int64),
+    bits: wp.int32,
+    best: wp.array(dtype=wp.int64),
+    out_hook: wp.array(dtype=wp.int64),
+):
+    """The link of each root to the other root of its best pair; -1 for none."""
+    r = first + wp.tid()
+    out_hook[r] = wp.int64(-1)
+    if best[r] == NONE:
+        return
+    at = wp.int32(best[r] & wp.int64(0x7FFFFFFF))
+    low = pair[at] >> wp.int64(bits)
+    other = low ^ (pair[at] ^ (low << wp.int64(bits))) ^ wp.int64(r)
+    out_hook[r] = hook_to(r, other, best, wp.where(vote[at] < wp.int64(0), wp.int64(1), wp.int64(0)))
+
+
+@wp.kernel
+def rename_kernel(
+    first: int,
+    link: wp.array(dtype=wp.int64),
+    bits: wp.int32,
+    out_pair: wp.array(dtype=wp.int64),
+    out_vote: wp.array(dtype=wp.int64),
+):
+    """Pairs and votes of the clusters' new roots; a bit above all pairs for what has become internal."""
+    i = first + wp.tid()
+    low = out_pair[i] >> wp.int64(bits)
+    a = link[wp.int32(low)]
+    b = link[wp.int32(out_pair[i] ^ (low << wp.int64(bits)))]
+    if a >> wp.int64(1) == b >> wp.int64(1):
+        out_pair[i] = wp.int64(1) << wp.int64(2 * bits)
+        return
+    out_pair[i] = pair_of(a, b, bits)
+    if ((a ^ b) & wp.int64(1)) == wp.int64(1):
+        out_vote[i] = -out_vote[i]
 
 
 @wp.func_native("""
@@ -314,6 +491,15 @@ def extent_kernel(
     lower_to(out_widest, root, key_of(-width))
 
 
+@wp.func
+def add_caps(out_volume: wp.array(dtype=wp.int64, ndim=2), root: int, total: Caps, squares: Caps):
+    """Add the sums of some points to those of their component, if there is one."""
+    if root >= 0:
+        for cap in range(CAPS):
+            add_to(out_volume, root, cap, total[cap])
+            add_to(out_volume, root, CAPS + cap, squares[cap])
+
+
 @wp.kernel
 def volume_kernel(
     first: int,
@@ -335,20 +521,17 @@ def volume_kernel(
     """
     run = first + wp.tid()
     at = wp.int32(-1)
-    total = wp.vector(length=CAPS, dtype=wp.int64)
-    squares = wp.vector(length=CAPS, dtype=wp.int64)
+    total = Caps()
+    squares = Caps()
     for i in range(run * VOLUME_RUN, wp.min((run + 1) * VOLUME_RUN, points.shape[0])):
         n = normal[i]
         if not is_zero(n):
             root = wp.int32(link[i] >> wp.int64(1))
             if root != at:
-                if at >= 0:
-                    for cap in range(CAPS):
-                        add_to(out_volume, at, cap, total[cap])
-                        add_to(out_volume, at, CAPS + cap, squares[cap])
+                add_caps(out_volume, at, total, squares)
                 at = root
-                total = wp.vector(length=CAPS, dtype=wp.int64)
-                squares = wp.vector(length=CAPS, dtype=wp.int64)
+                total = Caps()
+                squares = Caps()
             wide = -value_of(widest[root])
             below = -value_of(highest[root]) - height_of(i, root, points)
             depth = -value_of(highest[root]) - value_of(lowest[root]) + BELOW * wide
@@ -361,10 +544,7 @@ def volume_kernel(
                     total[cap] += wp.int64(share * scale)
                     squares[cap] += wp.int64(share * share * scale)
                 depth = wp.float64(0.25) * depth
-    if at >= 0:
-        for cap in range(CAPS):
-            add_to(out_volume, at, cap, total[cap])
-            add_to(out_volume, at, CAPS + cap, squares[cap])
+    add_caps(out_volume, at, total, squares)
 
 
 @wp.func

@@ -204,18 +204,11 @@ def piece_count_kernel(first: int, begin: wp.array(dtype=wp.int32), out_count: w
 
 
 @wp.func
-def run_of(piece: wp.int32, piece_end: wp.array(dtype=wp.int32)) -> wp.int32:
-    """The run of a piece: the first run whose pieces end after it."""
-    return wp.lower_bound(piece_end, piece + 1)
-
-
-@wp.func
-def first_of_piece(
-    piece: wp.int32, run: wp.int32, begin: wp.array(dtype=wp.int32), piece_end: wp.array(dtype=wp.int32)
-) -> wp.int32:
-    """First position of a piece."""
-    before = begin_of(piece_end, run)
-    return begin[run] + (piece - before) * PIECE
+def piece_of(piece: wp.int32, begin: wp.array(dtype=wp.int32), piece_end: wp.array(dtype=wp.int32)) -> wp.vec3i:
+    """The run of a piece, which is the first run whose pieces end after it, and the piece's positions: begin, end."""
+    run = wp.lower_bound(piece_end, piece + 1)
+    b = begin[run] + (piece - begin_of(piece_end, run)) * PIECE
+    return wp.vec3i(run, b, wp.min(b + PIECE, begin[run + 1]))
 
 
 @wp.kernel
@@ -228,9 +221,8 @@ def piece_sum_kernel(
 ):
     """Sum of each piece relative to its run's first point."""
     piece = first + wp.tid()
-    run = run_of(piece, piece_end)
-    b = first_of_piece(piece, run, begin, piece_end)
-    out_sum[piece] = sum_of_piece(points, points[begin[run]], b, wp.min(b + PIECE, begin[run + 1]))
+    at = piece_of(piece, begin, piece_end)
+    out_sum[piece] = sum_of_piece(points, points[begin[at[0]]], at[1], at[2])
 
 
 @wp.kernel
@@ -265,9 +257,8 @@ def piece_nearest_kernel(
 ):
     """Position of the point of each piece nearest to the centroid of its run."""
     piece = first + wp.tid()
-    run = run_of(piece, piece_end)
-    b = first_of_piece(piece, run, begin, piece_end)
-    out_at[piece] = nearest_in_piece(points, points[begin[run]], mean[run], b, wp.min(b + PIECE, begin[run + 1]))
+    at = piece_of(piece, begin, piece_end)
+    out_at[piece] = nearest_in_piece(points, points[begin[at[0]]], mean[at[0]], at[1], at[2])
 
 
 @wp.kernel

@@ -27,7 +27,7 @@ from geokit.core.interop.user_arrays import (
     require_finite,
     require_finite_scalar,
 )
-from geokit.core.launches import prepared
+from geokit.core.launches import captured, prepared
 from geokit.core.memory import available_memory
 from geokit.core.memory.needs import needs, rows
 from geokit.core.memory.struct_array import handed_out
@@ -889,6 +889,7 @@ class NeighborGrid:
             return own
         if groups is None:
             raise InputError(f"groups: the grid has {len(own) - 1}; give the offsets ({len(own)},) of the queries too")
+        captured.refuse(self._device, "groups: offsets are copied from the host")
         offsets = read_offsets(groups, count, "queries")
         if len(offsets) != len(own):
             raise InputError(f"groups: {len(offsets) - 1} are not the {len(own) - 1} of the grid; empty ones count")
@@ -987,7 +988,10 @@ class NeighborGrid:
         """One radius, or an array with one for each query."""
         if radius is None:
             return self._radius
-        return _require_radii(radius, count)
+        radii = _require_radii(radius, count)
+        if np.ndim(radii):
+            captured.refuse(self._device, "radius: one for each query is copied from the host")
+        return radii
 
     def _cells_for(self, radius: float) -> Cells:
         with self._lock:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from geokit.core import launcher
 from geokit.core.interop.types import Array
+from geokit.core.launches import captured
 from geokit.core.memory import available_memory
 from geokit.core.require import described, whole_number
 from geokit.errors import InputError
@@ -120,10 +121,15 @@ def nearest(
     else:
         # Queries of one block are answered together, in any order.
         is_block = device.is_cpu and count <= int(tree_kernels.LEAF)
-        order = launcher.identity(device) if is_block else curve_order(queries, frame_of(queries), device)[1]
+        if is_block:
+            order = launcher.identity(device)
+        else:
+            # That of queries is read on the host, which has no part in a graph.
+            frame = tree.frame if captured.is_captured(device) else frame_of(queries)
+            order = curve_order(queries, frame, device)[1]
         out.positions, out.index = blocks_in_order(queries, order, device)
     is_each = isinstance(limit_squared, wp.array)
-    out.limit_squared = limit_squared if is_each else wp.array([limit_squared], dtype=wp.float64, device=device)
+    out.limit_squared = limit_squared if is_each else wp.full(1, limit_squared, dtype=wp.float64, device=device)
     kernel, items, out.run = _search_kernel(k, count, device)
     out.stretch = 1.0 + STRETCH / math.sqrt(k)
     launcher.launch(kernel, items, [tree], [out], device, grain=GROUP_GRAIN)

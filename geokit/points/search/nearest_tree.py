@@ -50,7 +50,8 @@ def build_tree(points: "wp.array", groups: NDArray[np.int64] | None = None) -> A
         tree.positions = wp.empty(0, dtype=wp.float64, device=device)
         return tree
     if groups is None:
-        keys, order = curve_order(points, frame_of(points), device)
+        tree.frame = frame_of(points)
+        keys, order = curve_order(points, tree.frame, device)
         head = wp.empty(count, dtype=wp.int32, device=device)
         launcher.launch(kernels.head_kernel, count, [keys], [head], device)
         _refine(points, order, head, device)

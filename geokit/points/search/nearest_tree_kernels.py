@@ -34,7 +34,8 @@ class NearestTree:
     The coordinates of leaf b begin at ``48 b``: 16 of x, then of y, then of z; the rest of the last leaf is NaN.
     ``index`` holds the indices of the caller's points. The sides of the boxes of node n's children begin at ``48 n``: 8
     lower x, y, z, then 8 upper x, y, z; ``least`` holds the lowest index below each child. Level 1 is directly above
-    the leaves, ``level_first[l]`` is the first node of level l, and ``top`` is the level with a single node.
+    the leaves, ``level_first[l]`` is the first node of level l, and ``top`` is the level with a single node. ``frame``
+    is that of the curve.
 
     Of points in groups each begins with a leaf; then the rest of any leaf may be NaN, with the index NONE.
     """
@@ -46,6 +47,7 @@ class NearestTree:
     level_first: wp.array(dtype=wp.int32)
     top: wp.int32
     count: wp.int32
+    frame: wp.vec4d
 
 
 @wp.struct

@@ -95,7 +95,11 @@ class Asked:
         self.count, self.device, self.own, self.first_point = count, device, own, first_point
         self.rows = rows
         values = np.atleast_1d(np.asarray(radius, dtype=np.float64))
-        self.radius = wp.array(values, dtype=wp.float64, device=device)
+        # One number goes with the launch that writes it, so that a graph may capture it.
+        if len(values) == 1:
+            self.radius: Any = wp.full(1, float(values[0]), dtype=wp.float64, device=device)
+        else:
+            self.radius = wp.array(values, dtype=wp.float64, device=device)
         # Each part: cells, and their queries in an order in which consecutive queries share what they read.
         self.parts: list[tuple[Any, Any, int]] = []
         for most, chosen in _classes(values, count):

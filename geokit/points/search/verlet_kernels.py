@@ -67,6 +67,15 @@ def square_seen(lists: VerletLists, i: wp.int32, p: wp.int32) -> wp.float64:
     return (d[0] * d[0] + d[1] * d[1]) + d[2] * d[2]
 
 
+@wp.func
+def list_of(lists: VerletLists, k: wp.int32, exclude_self: wp.int32):
+    """Begin and end of a list, and the place that it leaves out, -1 for none."""
+    own = wp.int32(-1)
+    if exclude_self != 0:
+        own = lists.place[k]
+    return wp.int32(lists.start[k]), wp.int32(lists.start[k + 1]), own
+
+
 @wp.kernel
 def count_kernel(
     first: int,
@@ -78,11 +87,7 @@ def count_kernel(
     """Number of candidates of each list within the radius."""
     k = first + wp.tid()
     i = lists.point[k]
-    begin = wp.int32(lists.start[k])
-    end = wp.int32(lists.start[k + 1])
-    own = wp.int32(-1)
-    if exclude_self != 0:
-        own = lists.place[k]
+    begin, end, own = list_of(lists, k, exclude_self)
     if is_wrapped(lists, i):
         found = wp.int32(0)
         for c in range(begin, end):
@@ -106,11 +111,7 @@ def fill_kernel(
     """Candidates of each list within the radius: points, places in a periodic cell, and distances."""
     k = first + wp.tid()
     i = lists.point[k]
-    begin = wp.int32(lists.start[k])
-    end = wp.int32(lists.start[k + 1])
-    own = wp.int32(-1)
-    if exclude_self != 0:
-        own = lists.place[k]
+    begin, end, own = list_of(lists, k, exclude_self)
     # Flat results have fewer than 2^31 entries, which the caller ensures.
     to = wp.int32(offset[i])
     if is_wrapped(lists, i):
@@ -275,11 +276,7 @@ def candidate_kernel(
     """Points of each list, in the order of the points; in a periodic cell with their shifts when it was made."""
     k = first + wp.tid()
     i = lists.point[k]
-    begin = wp.int32(lists.start[k])
-    end = wp.int32(lists.start[k + 1])
-    own = wp.int32(-1)
-    if exclude_self != 0:
-        own = lists.place[k]
+    begin, end, own = list_of(lists, k, exclude_self)
     name_places(lists, begin, end, own, wp.int32(offset[i]), out_index)
     if turn.shape[0] > 0:
         to = wp.int32(offset[i])

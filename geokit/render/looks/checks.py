@@ -15,6 +15,7 @@ from geokit.core.files import require_extension
 from geokit.core.require import described, read_array, require_path, require_table, require_text, whole_number
 from geokit.errors import InputError
 from geokit.formats.attributes.images import pixel_count
+from geokit.render.looks.color_maps import HELD
 
 __all__ = [
     "DIVERGING",
@@ -119,8 +120,7 @@ def checked_colormap(colormap: str) -> str:
     Raises:
         InputError: matplotlib has none of that name.
     """
-    matplotlib = require_package("matplotlib")
-    if require_text(colormap, "colormap") not in matplotlib.colormaps:
+    if require_text(colormap, "colormap") not in HELD and colormap not in require_package("matplotlib").colormaps:
         raise InputError(f"colormap: {colormap!r} is not known to matplotlib; use one such as 'viridis'")
     return colormap
 

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit._packages import require_package
 from geokit.core.interop.objects import points_of, polygons_of
 from geokit.errors import InputError
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.surfaces.objects import require_mesh
 from geokit.mesh.surfaces.surface import Surface
 from geokit.points._io import PointCloud
-from geokit.render.looks.checks import DIVERGING, SEQUENTIAL
+from geokit.render.looks.checks import DIVERGING
+from geokit.render.looks.color_maps import HELD, color_table
 from geokit.render.viewer.surfaces import cloud_record, mesh_record, require_content
 from geokit.render.viewer.volumes import volume_record
 from geokit.volume.model.sparse_volume import SparseVolume
@@ -23,10 +23,6 @@ if TYPE_CHECKING:
     from geokit.render.viewer.arrays import Arrays
 
 __all__ = ["Frame", "read_thing", "scene_record"]
-
-# Color maps to choose from in the page, beside the one that was asked for.
-MAPS = (SEQUENTIAL, DIVERGING, "coolwarm", "magma", "turbo", "gray")
-MAP_SIZE = 256
 
 
 class Frame(NamedTuple):
@@ -109,7 +105,7 @@ def scene_record(
             records.append(cloud_record(thing, name, frame, arrays))
         else:
             records.append(volume_record(thing, name, frame, arrays, max_voxels=max_voxels, device=device))
-    maps = list(dict.fromkeys((colormap, *MAPS)))
+    maps = list(dict.fromkeys((colormap, *HELD)))
     return {
         "title": title,
         "up": up,
@@ -120,13 +116,6 @@ def scene_record(
         "colormap": colormap,
         "diverging": DIVERGING,
         "maps": maps,
-        "colors": arrays.add(_tables(maps)),
+        "colors": arrays.add(np.stack([color_table(name) for name in maps])),
         "objects": records,
     }
-
-
-def _tables(maps: list[str]) -> NDArray[np.uint8]:
-    """Colors of the maps (M, 256, 3)."""
-    matplotlib = require_package("matplotlib")
-    at = np.linspace(0.0, 1.0, MAP_SIZE)
-    return np.stack([np.rint(255.0 * matplotlib.colormaps[name](at)[:, :3]) for name in maps]).astype(np.uint8)

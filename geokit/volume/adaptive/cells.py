@@ -250,7 +250,7 @@ def _crease_errors(
     """
     import warp as wp
 
-    from geokit.volume.adaptive.crease_kernels import crease_kernel, touched_kernel
+    from geokit.volume.adaptive.check_kernels import crease_kernel, touched_kernel
 
     device = lattice.surface._device
     keys = keys_of(cells)

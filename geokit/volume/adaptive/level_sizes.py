@@ -14,8 +14,7 @@ import numpy as np
 
 from geokit.core.memory import available_memory
 from geokit.volume.adaptive.cells import CellLattice, contains, near_cells
-from geokit.volume.adaptive.level_placement import FLOAT, LEAF, grid_bytes
-from geokit.volume.adaptive.refine import Refinement
+from geokit.volume.adaptive.refine import FLOAT, LEAF, Refinement, grid_bytes
 from geokit.volume.adaptive.storage import ACCEPTED_SHARE, Storage
 from geokit.volume.band.place_keys import keys_of
 from geokit.volume.band.tiles import Lattice, near_tiles

@@ -52,12 +52,11 @@ def search_radius(voxels: BandVoxels, row: int, voxel: int) -> wp.float64:
 
 @wp.func
 def is_inside_by_pseudonormal(
-    tree: SurfaceTree,
-    tables: Pseudonormals,
-    p: wp.vec3d,
-    radius: wp.float64,
+    tree: SurfaceTree, tables: Pseudonormals, voxels: BandVoxels, row: int, voxel: int
 ) -> wp.bool:
-    """Whether p lies behind the nearest face, edge or vertex within the radius, by its pseudonormal."""
+    """Whether a voxel lies behind the nearest face, edge or vertex, by its pseudonormal."""
+    p = position_of(voxels, row, voxel)
+    radius = search_radius(voxels, row, voxel)
     slot = nearest_slot(tree, p, radius * radius, -1)
     behind = bool(False)
     if slot >= 0:
@@ -82,12 +81,8 @@ def regions_by_pseudonormal_kernel(
 ):
     """Tests the voxel of each region, if there is one, by pseudonormal."""
     i = first + wp.tid()
-    seed = seeds[i]
-    if seed >= 0:
-        row = voxels.rows[i / regions]
-        p = position_of(voxels, row, seed)
-        radius = search_radius(voxels, row, seed)
-        out_inside[i] = is_inside_by_pseudonormal(tree, tables, p, radius)
+    if seeds[i] >= 0:
+        out_inside[i] = is_inside_by_pseudonormal(tree, tables, voxels, voxels.rows[i / regions], seeds[i])
 
 
 @wp.kernel
@@ -109,10 +104,7 @@ def voxels_by_pseudonormal_kernel(
             found = int(0)
             for b in range(8):
                 if ((left >> b) & 1) != 0:
-                    voxel = 8 * (item & 63) + b
-                    p = position_of(voxels, row, voxel)
-                    radius = search_radius(voxels, row, voxel)
-                    if is_inside_by_pseudonormal(tree, tables, p, radius):
+                    if is_inside_by_pseudonormal(tree, tables, voxels, row, 8 * (item & 63) + b):
                         found = found | (1 << b)
             set_in_row(out_inside, leaf, item & 63, found)
 

@@ -140,21 +140,12 @@ class _SurfaceSigns:
 
     def listed(self, bits: "wp.array", known: "wp.array", inside: "wp.array") -> None:
         """Test the voxels whose ``bits`` are set, as one list in one call, and mark them as known."""
-        import warp as wp
+        from geokit.volume.band.signs_kernels import take_answers_kernel
 
-        from geokit.volume.band import signs_kernels as kernels
-
-        device, count = self.lattice.device, len(bits)
-        counts = wp.empty(count, dtype=wp.int32, device=device)
-        launcher.launch(kernels.count_bits_kernel, count, [bits], [counts], device)
-        ends, total = prefix_sum(counts)
-        if total == 0:
-            return
-        points = wp.empty(total, dtype=wp.vec3d, device=device)
-        launcher.launch(kernels.bit_positions_kernel, count, [bits, ends, counts, *self.where], [points], device)
-        answers = self.lattice.surface.contains(points, sign=self.method)
-        inputs = [bits, ends, counts, answers]
-        launcher.launch(kernels.take_answers_kernel, count, inputs, [known, inside], device)
+        counted, points = _positions(bits, self.where)
+        if len(points):
+            inputs = [*counted, self.lattice.surface.contains(points, sign=self.method)]
+            launcher.launch(take_answers_kernel, len(bits), inputs, [known, inside], bits.device)
 
     @property
     def _by_list(self) -> bool:
@@ -206,23 +197,29 @@ def lost_components(band: Band, pieces: NDArray[np.int32], piece_count: int) -> 
     return [int(piece) for piece in np.flatnonzero(~found)]
 
 
-def _mark_nearest(band: Band, bits: "wp.array", pieces: NDArray[np.int32], found: NDArray[np.bool_]) -> None:
-    """Set ``found`` for the components that are nearest to a voxel whose bit is set."""
+def _positions(bits: "wp.array", where: list[Any]) -> tuple[list["wp.array"], "wp.array"]:
+    """Bits, ends and counts as kernels take them, and the positions of the voxels whose bits are set."""
     import warp as wp
 
     from geokit.volume.band import signs_kernels as kernels
 
+    counts = wp.empty(len(bits), dtype=wp.int32, device=bits.device)
+    launcher.launch(kernels.count_bits_kernel, len(bits), [bits], [counts], bits.device)
+    ends, total = prefix_sum(counts)
+    points = wp.empty(total, dtype=wp.vec3d, device=bits.device)
+    if total:
+        inputs = [bits, ends, counts, *where]
+        launcher.launch(kernels.bit_positions_kernel, len(bits), inputs, [points], bits.device)
+    return [bits, ends, counts], points
+
+
+def _mark_nearest(band: Band, bits: "wp.array", pieces: NDArray[np.int32], found: NDArray[np.bool_]) -> None:
+    """Set ``found`` for the components that are nearest to a voxel whose bit is set."""
     for start in range(0, len(bits), LEAVES_AT_A_TIME):
-        stop = min(len(bits), start + LEAVES_AT_A_TIME)
-        part, rows = bits[start:stop], band.leaves.rows[start:stop]
-        counts = wp.empty(stop - start, dtype=wp.int32, device=band.lattice.device)
-        launcher.launch(kernels.count_bits_kernel, stop - start, [part], [counts], counts.device)
-        ends, total = prefix_sum(counts)
-        if total == 0:
+        part = slice(start, min(len(bits), start + LEAVES_AT_A_TIME))
+        _, points = _positions(bits[part], [band.leaves.tiles, band.leaves.rows[part], *band.lattice.arguments])
+        if len(points) == 0:
             continue
-        points = wp.empty(total, dtype=wp.vec3d, device=counts.device)
-        inputs = [part, ends, counts, band.leaves.tiles, rows, *band.lattice.arguments]
-        launcher.launch(kernels.bit_positions_kernel, stop - start, inputs, [points], counts.device)
         nearest = band.lattice.surface.closest_point(points)
         found[np.unique(pieces[nearest.triangle_id.numpy()])] = True
         if found.all():

@@ -197,7 +197,7 @@ class AdaptiveSDF:
     def _answer(self, points: Any, device: Any, *, gradient: bool) -> Any:
         import warp as wp
 
-        from geokit.volume.adaptive import sample_kernels, stencil_kernels
+        from geokit.volume.adaptive import sample_kernels
 
         target = launcher.resolve_device(device)
         is_plain = self.order == 1 and set(self.codecs) == {"float"}
@@ -214,7 +214,7 @@ class AdaptiveSDF:
             choices = sample_kernels.SAMPLE_CPU if grouped else sample_kernels.SAMPLE_CUDA
             kinds, outside = (wp.float32, wp.float64), wp.float64(self.levels[0].info.background)
         if not is_plain:
-            choices = stencil_kernels.STENCILS[self.order][gradient]
+            choices = sample_kernels.STENCILS[self.order][gradient]
         out = user_arrays.empty(count, kinds[0] if batch.is_float32 else kinds[1], batch.rows)
         bad = host_flags(1, target)
         inputs = [table.levels, batch.rows, *world_to_index(self.levels[0]), outside]
@@ -314,16 +314,7 @@ def adaptive_from_mesh(
     tolerance = user_arrays.require_finite_scalar(tolerance, "tolerance", low=0.0)
     max_levels = require_count(max_levels, "max_levels", 1)
     search = tolerance_search(
-        mesh,
-        tolerance,
-        within=within,
-        order=order,
-        half_width=None,
-        sign=sign,
-        thickness=None,
-        interior=interior,
-        codec=codec,
-        device=device,
+        mesh, tolerance, within=within, order=order, sign=sign, interior=interior, codec=codec, device=device
     )
     surface = search.memory.surface
     name = surface.mesh.name if name is None else name

@@ -27,7 +27,7 @@ from geokit.volume.nanovdb.grid_info import GridInfo
 from geokit.volume.nanovdb.header import GRID_DATA, HEAD_SIZE, TREE_OFFSET, aligned_buffer, grid_header, voxel_size_of
 from geokit.volume.nanovdb.header_options import checked_transform, write_transform
 from geokit.volume.nanovdb.provenance import METERS_PER_UNIT, UNIT, world_metadata
-from geokit.volume.tree.root_table import root_spans
+from geokit.volume.tree.grid_head import root_spans
 from geokit.volume.tree.statistics import NO_BOX
 
 __all__ = ["StageField", "has_volumes_only", "named_field", "opened", "placed", "placed_info", "save_stage"]

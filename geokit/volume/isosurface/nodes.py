@@ -20,7 +20,7 @@ from geokit.volume.nanovdb.layout import GridLayout
 from geokit.volume.nanovdb.nodes import GridNodes, NodePlaces, grid_nodes, root_origins, set_bits, slot_of, slot_places
 from geokit.volume.nanovdb.upload import above_leaves
 from geokit.volume.tree.estimates import require_host_room
-from geokit.volume.tree.root_table import root_keys_of
+from geokit.volume.tree.grid_head import root_keys_of
 
 if TYPE_CHECKING:
     import warp as wp

@@ -113,23 +113,25 @@ def chosen_kernel(
     out_count[i] = count
 
 
+@wp.struct
+class Around:
+    """The field around voxel ``c`` of row ``t``; ``side`` is -1 inside."""
+
+    values: wp.array(dtype=wp.float64)
+    active: wp.array(dtype=wp.uint64)
+    beside: wp.array2d(dtype=int)
+    t: int
+    c: wp.vec3i
+    side: wp.float64
+
+
 @wp.func
-def outward(
-    values: wp.array(dtype=wp.float64),
-    active: wp.array(dtype=wp.uint64),
-    beside: wp.array2d(dtype=int),
-    t: int,
-    c: wp.vec3i,
-    i: int,
-    j: int,
-    k: int,
-    side: wp.float64,
-) -> wp.float64:
-    """The field (i, j, k) voxels from voxel c of row t, positive away from the surface; infinite if unknown."""
-    at = place(beside, t, c[0] + i, c[1] + j, c[2] + k)
+def outward(field: Around, i: int, j: int, k: int) -> wp.float64:
+    """The field (i, j, k) voxels from the voxel, positive away from the surface; infinite if unknown."""
+    at = place(field.beside, field.t, field.c[0] + i, field.c[1] + j, field.c[2] + k)
     value = wp.float64(wp.inf)
-    if bit_of(active, at):
-        value = side * values[at]
+    if bit_of(field.active, at):
+        value = field.side * field.values[at]
     return value
 
 
@@ -155,62 +157,48 @@ def upwind(low: wp.float64, here: wp.float64, high: wp.float64) -> wp.float64:
 
 
 @wp.func
-def central_derivatives(
-    values: wp.array(dtype=wp.float64),
-    active: wp.array(dtype=wp.uint64),
-    beside: wp.array2d(dtype=int),
-    t: int,
-    c: wp.vec3i,
-    side: wp.float64,
-) -> Derivatives:
+def mixed_derivative(field: Around, a: wp.vec3i, b: wp.vec3i) -> wp.float64:
+    """The second derivative along two axes, by their unit steps."""
+    low = a - b
+    high = a + b
+    return wp.float64(0.25) * (
+        outward(field, -high[0], -high[1], -high[2])
+        - outward(field, -low[0], -low[1], -low[2])
+        - outward(field, low[0], low[1], low[2])
+        + outward(field, high[0], high[1], high[2])
+    )
+
+
+@wp.func
+def central_derivatives(field: Around) -> Derivatives:
     """Derivatives by central differences; all neighbors must be active."""
-    h = outward(values, active, beside, t, c, 0, 0, 0, side)
-    x0 = outward(values, active, beside, t, c, -1, 0, 0, side)
-    x1 = outward(values, active, beside, t, c, 1, 0, 0, side)
-    y0 = outward(values, active, beside, t, c, 0, -1, 0, side)
-    y1 = outward(values, active, beside, t, c, 0, 1, 0, side)
-    z0 = outward(values, active, beside, t, c, 0, 0, -1, side)
-    z1 = outward(values, active, beside, t, c, 0, 0, 1, side)
+    h = outward(field, 0, 0, 0)
+    x0 = outward(field, -1, 0, 0)
+    x1 = outward(field, 1, 0, 0)
+    y0 = outward(field, 0, -1, 0)
+    y1 = outward(field, 0, 1, 0)
+    z0 = outward(field, 0, 0, -1)
+    z1 = outward(field, 0, 0, 1)
     half = wp.float64(0.5)
-    quarter = wp.float64(0.25)
     twice = wp.float64(2.0) * h
     found = Derivatives()
     found.gradient = half * wp.vec3d(x1 - x0, y1 - y0, z1 - z0)
     found.curve[0] = x0 - twice + x1
     found.curve[1] = y0 - twice + y1
     found.curve[2] = z0 - twice + z1
-    found.curve[3] = quarter * (
-        outward(values, active, beside, t, c, -1, -1, 0, side)
-        - outward(values, active, beside, t, c, -1, 1, 0, side)
-        - outward(values, active, beside, t, c, 1, -1, 0, side)
-        + outward(values, active, beside, t, c, 1, 1, 0, side)
-    )
-    found.curve[4] = quarter * (
-        outward(values, active, beside, t, c, -1, 0, -1, side)
-        - outward(values, active, beside, t, c, -1, 0, 1, side)
-        - outward(values, active, beside, t, c, 1, 0, -1, side)
-        + outward(values, active, beside, t, c, 1, 0, 1, side)
-    )
-    found.curve[5] = quarter * (
-        outward(values, active, beside, t, c, 0, -1, -1, side)
-        - outward(values, active, beside, t, c, 0, -1, 1, side)
-        - outward(values, active, beside, t, c, 0, 1, -1, side)
-        + outward(values, active, beside, t, c, 0, 1, 1, side)
-    )
+    x = wp.vec3i(1, 0, 0)
+    y = wp.vec3i(0, 1, 0)
+    z = wp.vec3i(0, 0, 1)
+    found.curve[3] = mixed_derivative(field, x, y)
+    found.curve[4] = mixed_derivative(field, x, z)
+    found.curve[5] = mixed_derivative(field, y, z)
     return found
 
 
 @wp.func
-def fitted_derivatives(
-    values: wp.array(dtype=wp.float64),
-    active: wp.array(dtype=wp.uint64),
-    beside: wp.array2d(dtype=int),
-    t: int,
-    c: wp.vec3i,
-    side: wp.float64,
-) -> Derivatives:
+def fitted_derivatives(field: Around) -> Derivatives:
     """Derivatives by least squares over active neighbors: a gradient, then a gradient and one curvature across it."""
-    h = outward(values, active, beside, t, c, 0, 0, 0, side)
+    h = outward(field, 0, 0, 0)
     across = wp.vec3d()
     g = wp.vec4d()
     for round in range(2):
@@ -218,7 +206,7 @@ def fitted_derivatives(
         system = RIDGE * wp.identity(4, dtype=wp.float64)
         right = wp.vec4d()
         for n in range(27):
-            value = outward(values, active, beside, t, c, n / 9 - 1, n / 3 % 3 - 1, n % 3 - 1, side)
+            value = outward(field, n / 9 - 1, n / 3 % 3 - 1, n % 3 - 1)
             if wp.isfinite(value) and n != 13:
                 d = wp.vec3d(wp.float64(n / 9 - 1), wp.float64(n / 3 % 3 - 1), wp.float64(n % 3 - 1))
                 bend = wp.float64(0.0)
@@ -240,24 +228,16 @@ def fitted_derivatives(
 
 
 @wp.func
-def is_smooth(
-    values: wp.array(dtype=wp.float64),
-    active: wp.array(dtype=wp.uint64),
-    beside: wp.array2d(dtype=int),
-    t: int,
-    c: wp.vec3i,
-    side: wp.float64,
-    slope: wp.float64,
-) -> bool:
+def is_smooth(field: Around, slope: wp.float64) -> bool:
     """Whether a voxel's slope is as large as the upwind slope, so that fronts from one direction only reach it."""
-    h = outward(values, active, beside, t, c, 0, 0, 0, side)
+    h = outward(field, 0, 0, 0)
     up = wp.float64(0.0)
     for e in range(3):
         a = wp.where(e == 0, 1, 0)
         b = wp.where(e == 1, 1, 0)
         d = wp.where(e == 2, 1, 0)
-        low = outward(values, active, beside, t, c, -a, -b, -d, side)
-        high = outward(values, active, beside, t, c, a, b, d, side)
+        low = outward(field, -a, -b, -d)
+        high = outward(field, a, b, d)
         up += upwind(low, h, high)
     return wp.isfinite(slope) and slope > wp.float64(0.0) and slope > KINK * wp.sqrt(up)
 
@@ -282,29 +262,33 @@ def features_kernel(
     """Writes the features of a plane, and their names at their own voxels."""
     i = first + wp.tid()
     f = begin_of(ends, i)
+    field = Around()
+    field.values = values
+    field.active = active
+    field.beside = beside
+    field.t = i >> 3
     for n in range(64):
         at = (i << 6) + n
         if bit_of(chosen, at):
             name = 2 * f
-            side = wp.float64(1.0)
+            field.side = wp.float64(1.0)
             if bit_of(inside, at):
                 name += 1
-                side = wp.float64(-1.0)
+                field.side = wp.float64(-1.0)
             distance = wp.abs(known[at]) / voxel_size
-            t = i >> 3
-            c = wp.vec3i(i & 7, n >> 3, n & 7)
+            field.c = wp.vec3i(i & 7, n >> 3, n & 7)
             weight = wp.float64(0.0)
             if bit_of(enclosed, at):
-                found = central_derivatives(values, active, beside, t, c, side)
+                found = central_derivatives(field)
             else:
-                found = fitted_derivatives(values, active, beside, t, c, side)
+                found = fitted_derivatives(field)
                 weight = ONE_SIDED
             slope = wp.length(found.gradient)
-            voxel = 8 * tiles[t] + c
+            voxel = 8 * tiles[field.t] + field.c
             foot = wp.vec3d(voxel)
             normal = wp.vec3f()
             curve = vec6f()
-            if is_smooth(values, active, beside, t, c, side, slope):
+            if is_smooth(field, slope):
                 foot -= found.gradient * (distance / slope)
                 normal = wp.vec3f(found.gradient / slope)
                 for e in range(6):

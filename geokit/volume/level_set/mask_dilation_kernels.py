@@ -29,13 +29,18 @@ def word_of(
 
 
 @wp.func
+def from_below(below: wp.uint64, word: wp.uint64) -> wp.uint64:
+    """Bits that have a set neighbor before them along z."""
+    return ((word << wp.uint64(1)) & ~FIRST_Z) | ((below >> wp.uint64(7)) & FIRST_Z)
+
+
+@wp.func
 def along_z(below: wp.uint64, word: wp.uint64, above: wp.uint64) -> wp.uint64:
     """Bits that are set or have a set neighbor along z."""
     one = wp.uint64(1)
     seven = wp.uint64(7)
-    up = ((word << one) & ~FIRST_Z) | ((below >> seven) & FIRST_Z)
     down = ((word >> one) & ~LAST_Z) | ((above << seven) & LAST_Z)
-    return word | up | down
+    return word | from_below(below, word) | down
 
 
 @wp.func
@@ -91,17 +96,10 @@ def corners_in_plane(cells: wp.array(dtype=wp.uint64), beside: wp.array2d(dtype=
     side = 9 * (x >> 3) + 13
     at = x & 7
     none = wp.uint64(0)
-    seven = wp.uint64(7)
     here = word_of(cells, none, beside, t, side, at)
     low = word_of(cells, none, beside, t, side - 3, at)
-    here = (
-        here
-        | ((here << wp.uint64(1)) & ~FIRST_Z)
-        | ((word_of(cells, none, beside, t, side - 1, at) >> seven) & FIRST_Z)
-    )
-    low = (
-        low | ((low << wp.uint64(1)) & ~FIRST_Z) | ((word_of(cells, none, beside, t, side - 4, at) >> seven) & FIRST_Z)
-    )
+    here = here | from_below(word_of(cells, none, beside, t, side - 1, at), here)
+    low = low | from_below(word_of(cells, none, beside, t, side - 4, at), low)
     return here | (here << wp.uint64(8)) | (low >> wp.uint64(56))
 
 

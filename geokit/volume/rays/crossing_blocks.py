@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
-from geokit.core.launches import prepared
+from geokit.core.launches import captured, prepared
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.rays.ray_field import LEAF_SPAN, anchor_of, stored_box
 
@@ -64,7 +64,7 @@ def crossing_blocks(
         first = (box[0] - 1 - anchor) // LEAF_SPAN - 1
         count = (box[1] - anchor) // LEAF_SPAN + 2 - first
         total = math.prod(count.tolist())
-        if total > MOST_BLOCKS or total > BLOCKS_PER_RAY * ray_count:
+        if captured.is_captured(device) or total > min(MOST_BLOCKS, BLOCKS_PER_RAY * ray_count):
             return None
         prepared.refuse()
         while len(remembered) >= REMEMBERED:

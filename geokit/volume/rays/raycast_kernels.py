@@ -144,13 +144,16 @@ def raycast_kernel(
     i = first + wp.tid()
     origin = origins[i]
     direction = directions[i]
-    if not is_usable(origin, direction):
-        # The host then refuses the whole batch and names the first bad row.
+    scale = wp.float64(1.0)
+    found = wp.vec4d(wp.float64(wp.INF), scale, scale, scale)
+    if is_usable(origin, direction):
+        ray = index_ray(field, origin, direction, t_min, max_distance)
+        found = first_crossing(field, ray, isovalue, below, above)
+        scale = ray.scale
+    else:
+        # A miss, unless the host refuses the whole batch and names the first bad row.
         out_bad[0] = 1
-        return
-    ray = index_ray(field, origin, direction, t_min, max_distance)
-    found = first_crossing(field, ray, isovalue, below, above)
-    write_hit(i, found, ray.scale, field.to_index, origin, direction, out_t, out_points, out_normals)
+    write_hit(i, found, scale, field.to_index, origin, direction, out_t, out_points, out_normals)
 
 
 RAYCAST = by_voxel(raycast_kernel)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geokit.core import launcher
-from geokit.core.launches import prepared
+from geokit.core.launches import captured, prepared
 from geokit.core.memory.available_memory import available
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def leaf_table(volume: SparseVolume, device: "wp.Device", count: int) -> Any:
     # Queries add up over calls, so many small calls count like one large call.
     asked = f"queries on {device.alias}"
     volume._uploads[asked] = volume._uploads.get(asked, 0) + count
-    if volume._uploads[asked] * ENTRIES_PER_QUERY < _most_entries(volume, *box):
+    if captured.is_captured(device) or volume._uploads[asked] * ENTRIES_PER_QUERY < _most_entries(volume, *box):
         return None
     prepared.refuse()
     return volume._uploads.setdefault(key, _make(volume, device, *box))

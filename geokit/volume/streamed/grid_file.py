@@ -19,8 +19,7 @@ from geokit.volume.nanovdb.metadata import body_with_metadata
 from geokit.volume.nanovdb.nodes import NodeLevel, grid_nodes, slot_of
 from geokit.volume.nanovdb.write import file_metadata, file_version, segment_start
 from geokit.volume.tree.flood_signs import face_signs, flood
-from geokit.volume.tree.grid_head import GridHead, Places, places_of, write_head, write_root
-from geokit.volume.tree.root_table import root_keys_of
+from geokit.volume.tree.grid_head import GridHead, Places, places_of, root_keys_of, write_head, write_root
 
 __all__ = ["GridParts"]
 

@@ -14,8 +14,7 @@ from geokit.errors import InputError
 from geokit.volume.nanovdb.layout import LEAF_VOXELS
 from geokit.volume.nanovdb.nodes import NodeLevel, slot_of
 from geokit.volume.tree.device_writer import Leaves, build_on_device
-from geokit.volume.tree.grid_head import GridHead
-from geokit.volume.tree.root_table import root_keys_of
+from geokit.volume.tree.grid_head import GridHead, root_keys_of
 
 __all__ = ["build_leaves", "fill_leaves", "leaf_keys"]
 

@@ -272,7 +272,7 @@ def _statistics(
     """
     import warp as wp
 
-    from geokit.volume.tree.node_statistics_kernels import KERNELS
+    from geokit.volume.tree.device_writer_kernels import KERNELS
 
     device = buffer.device
     dtype = wp.float32 if head.layout.name == "float" else wp.int32

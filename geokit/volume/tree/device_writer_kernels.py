@@ -1,8 +1,11 @@
-"""Writes the nodes of a NanoVDB grid in place: their tables and masks, and values and masks of leaves.
+"""Writes the nodes of a NanoVDB grid in place: their tables, masks and statistics, and values and masks of leaves.
 
 Children of a node follow each other in the order of their keys. Each word of a mask and each row of a table has a
-single writer, so no atomics are needed and every device writes the same bytes.
+single writer, so no atomics are needed and every device writes the same bytes. So have a node's statistics, which
+are the box, flag and extrema of grids of floats or integers; values have the type of the extrema.
 """
+
+from typing import Any
 
 # mypy: ignore-errors
 # Annotations of kernels are warp's, not Python's.
@@ -100,3 +103,32 @@ def link_kernel(first: int, level: LevelLayout):
 @cpp.native_item("volume/tree/device_writer.inl", "copy_plane")
 def copy_leaves_kernel(first: int):
     """Copies a plane of a leaf's values (as bits) and of its mask, from rows in another order."""
+
+
+@wp.kernel
+@cpp.native_item("volume/tree/node_statistics.inl", "measure_leaf")
+def leaf_kernel(first: int, out_extrema: wp.array(dtype=Any)):
+    """Writes box, flag and extrema of a leaf with values and mask, and the number of its active voxels."""
+
+
+@wp.kernel
+@cpp.native_item("volume/tree/node_statistics.inl", "measure_part")
+def part_kernel(first: int, extrema: wp.array(dtype=Any), out_extrema: wp.array(dtype=Any)):
+    """Writes box and extrema of a part of a node's children, so that no thread has to reduce a large node alone."""
+
+
+@wp.kernel
+@cpp.native_item("volume/tree/node_statistics.inl", "measure_node")
+def node_kernel(first: int, level: LevelLayout, extrema: wp.array(dtype=Any), out_extrema: wp.array(dtype=Any)):
+    """Writes box, flag and extrema of an internal node from those of its children."""
+
+
+# The kernels of leaves, parts and nodes, by the type of the extrema.
+KERNELS = {
+    dtype: (
+        wp.overload(leaf_kernel, {"out_extrema": wp.array(dtype=dtype)}),
+        wp.overload(part_kernel, {name: wp.array(dtype=dtype) for name in ("extrema", "out_extrema")}),
+        wp.overload(node_kernel, {name: wp.array(dtype=dtype) for name in ("extrema", "out_extrema")}),
+    )
+    for dtype in (wp.float32, wp.int32)
+}

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from geokit.core import launcher
 from geokit.core.memory.host_array import HostArray
 from geokit.volume.nanovdb.nodes import root_origins, slot_of
-from geokit.volume.tree.root_table import gaps_inside, root_keys_of, with_gaps
+from geokit.volume.tree.grid_head import gaps_inside, root_keys_of, with_gaps
 from geokit.volume.tree.typed_tree import Nodes, TypedTree
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-// Box, flag and extrema of the nodes of a grid, whose values have the type of the extrema: see node_statistics_kernels.
+// Box, flag and extrema of the nodes of a grid, whose values have the type of the extrema: see device_writer_kernels.
 #include "core/simd.inl"
 
 // Box, flag and extrema of a leaf from its mask and values, and how many of its voxels are active. Boxes are first and

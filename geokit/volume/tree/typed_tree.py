@@ -18,7 +18,7 @@ from geokit.volume.nanovdb.header import grid_header
 from geokit.volume.nanovdb.layout import LAYOUTS, LEAF_VOXELS, LOWER_SLOTS, UPPER_SLOTS, GridLayout, layout_of
 from geokit.volume.nanovdb.nodes import NodeLevel, bits_of, grid_nodes, root_origins, slot_of, slot_places
 from geokit.volume.tree.estimates import require_host_room
-from geokit.volume.tree.root_table import root_keys_of
+from geokit.volume.tree.grid_head import root_keys_of
 
 __all__ = [
     "VALUE_TYPES",

@@ -33,8 +33,7 @@ from geokit.volume.nanovdb.header import (
 from geokit.volume.nanovdb.header_options import write_header
 from geokit.volume.nanovdb.layout import ALIGNMENT, GRID_TYPES, LAYOUTS
 from geokit.volume.nanovdb.nodes import NodeLevel, grid_nodes, root_origins, set_bits, slot_of, slot_places
-from geokit.volume.tree.grid_head import GridHead, head_like
-from geokit.volume.tree.root_table import root_keys_of, root_spans
+from geokit.volume.tree.grid_head import GridHead, head_like, root_keys_of, root_spans
 from geokit.volume.tree.statistics import Items, add_items, items_of_leaves, items_of_tiles, reduced
 from geokit.volume.tree.typed_tree import TypedTree, differs, tree_of
 

@@ -1,5 +1,5 @@
 // Validation of NanoVDB grids: a grid that check_nanovdb accepts can be walked to its last voxel inside its bytes.
-#include "../../../geokit/native/src/check.h"
+#include "../../../geokit/native/src/bridge.h"
 #include "../../../geokit/native/src/nano_types.h"
 
 #include "exact.h"

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.catalog import mesh_catalog
 from geokit.mesh import Surface, TriangleMesh
-from geokit.mesh.bvh.bvh8_leaves_cpu_kernels import HEAD, LEAF_WORDS, LEAST_QUANTUM
+from geokit.mesh.bvh.bvh8_build_cpu_kernels import HEAD, LEAF_WORDS, LEAST_QUANTUM
 from tests.support.effort import spread
 
 RAYS = 20_000

@@ -16,7 +16,7 @@ import geokit as gk
 from benchmarks.catalog import mesh_catalog as catalog
 from geokit import FileAccessError, FileFormatError, InputError
 from geokit.mesh import MeshAudit, TriangleMesh
-from geokit.mesh.streamed import audit_file, order_statistics
+from geokit.mesh.streamed import audit_file
 from tests.support.effort import of_all, spread
 
 MESHES = [
@@ -107,12 +107,12 @@ def test_soups_on_a_lattice(seed: int, side: int, count: int, tmp_path_factory: 
 @pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 2, 1000])
 def test_order_statistics(count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(order_statistics, "AT_A_TIME", 77)
+    monkeypatch.setattr(audit_file, "NUMBERS_AT_A_TIME", 77)
     rng = np.random.default_rng(count)
     numbers = np.exp(rng.normal(size=count) * rng.choice([0.0, 1e-15, 50.0], count))
     numbers[rng.random(count) < 0.2] = np.inf
     numbers[rng.random(count) < 0.2] = 0.0
-    file = order_statistics.OrderStatistics(tmp_path / "a")
+    file = audit_file.OrderStatistics(tmp_path / "a")
     for first in range(0, count, 300):
         file.add(numbers[first : first + 300])
     np.testing.assert_array_equal(file.at(range(count)), np.sort(numbers))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import sys
 
 import numpy as np
 import pytest
@@ -10,9 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import geokit as gk
+from benchmarks import inputs
 from benchmarks.catalog import mesh_catalog as catalog
-from geokit.errors import InputError
+from geokit.errors import InputError, MissingDependencyError
 from geokit.mesh import MeshPart, TriangleMesh, audit, fill_holes, orient
+from geokit.mesh.topology import fairing
 from tests.mesh.topology.test_repair import moebius
 
 SOLIDS = (catalog.box, catalog.icosphere, catalog.torus, catalog.l_profile, catalog.nested_boxes, catalog.tetrahedron)
@@ -47,15 +50,19 @@ def triangulations(first: int, last: int):
 def require_sound(mesh: TriangleMesh, found) -> None:
     """All that fill_holes promises of any mesh."""
     before, after = audit(mesh, self_intersections=True), audit(found.mesh, self_intersections=True)
-    assert np.array_equal(found.mesh.vertices, mesh.vertices)
+    assert np.array_equal(found.mesh.vertices[: mesh.vertex_count], mesh.vertices)
+    assert len(found.mesh.vertices) == mesh.vertex_count or found.faired.any()
     assert np.array_equal(np.sort(found.mesh.faces[found.hole < 0], axis=1), np.sort(mesh.faces, axis=1))
     assert after.self_intersection_count == before.self_intersection_count
     assert after.non_manifold_edge_count == before.non_manifold_edge_count
     assert after.duplicate_count == before.duplicate_count
     assert set(found.hole[found.hole >= 0]) == set(np.flatnonzero(found.filled))
-    # A patch over a loop of n sides has n - 2 faces.
+    # A patch over a loop of n sides with p points in between has n - 2 + 2 p faces.
     sides = np.bincount(found.hole[found.hole >= 0], minlength=len(found.filled))[found.filled] + 2
-    assert after.boundary_edge_count == before.boundary_edge_count - sides.sum()
+    added = found.mesh.vertex_count - mesh.vertex_count
+    assert after.boundary_edge_count == before.boundary_edge_count - sides.sum() + 2 * added
+    assert after.unreferenced_count <= before.unreferenced_count
+    assert not (found.faired & ~found.filled).any()
     again = orient(found.mesh)
     assert not again.flipped.any()
 
@@ -237,3 +244,133 @@ def test_a_scan_with_two_holes_becomes_closed():
     found = fill_holes(dome)
     require_sound(dome, found)
     assert audit(found.mesh).watertight
+
+
+# Patches that are fair.
+
+
+def cap(whole: TriangleMesh, height: float, more: TriangleMesh | None = None) -> TriangleMesh:
+    """What is below a height, and another mesh."""
+    mesh = without(whole, whole.vertices[whole.faces].mean(axis=1)[:, 2] > height)
+    return catalog.join(mesh, more) if more else mesh
+
+
+def patch_points(found) -> np.ndarray:
+    """Points on the patches (N, 3)."""
+    corners = found.mesh.vertices[found.mesh.faces[found.hole >= 0]]
+    shares = np.random.default_rng(0).dirichlet((1, 1, 1), 20)
+    return np.einsum("sk,fkj->sfj", shares, corners).reshape(-1, 3)
+
+
+@pytest.mark.parametrize("height", [0.9, 0.7, 0.4, 0.0])
+def test_a_sphere_is_a_sphere_again(height):
+    mesh = cap(catalog.icosphere(4), height)
+    plain, fair = fill_holes(mesh), fill_holes(mesh, fair=True)
+    require_sound(mesh, fair)
+    assert (plain.faired.tolist(), fair.faired.tolist()) == ([False], [True])
+    off, left = (np.abs(np.linalg.norm(patch_points(found), axis=1) - 1.0).max() for found in (fair, plain))
+    # Faces of a sphere are as far from it by their size: 0.0014.
+    assert off < max(0.003, left / 30.0)
+    corners = fair.mesh.vertices[fair.mesh.faces[fair.hole >= 0]]
+    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    assert 0.02 < edges.min() < edges.max() < 0.15  # 0.07 around it
+
+
+def test_what_is_noisy_is_no_worse_than_its_noise():
+    whole = catalog.icosphere(4)
+    noisy = TriangleMesh(
+        whole.vertices + 0.002 * np.random.default_rng(1).normal(size=(len(whole.vertices), 3)), whole.faces
+    )
+    found = fill_holes(cap(noisy, 0.7), fair=True)
+    require_sound(cap(noisy, 0.7), found)
+    assert np.abs(np.linalg.norm(patch_points(found), axis=1) - 1.0).max() < 0.02  # 0.28 without
+
+
+def test_a_saddle_goes_on():
+    # The inner side of a torus bends both ways.
+    whole = catalog.torus(64, 32)
+    middle = whole.vertices[whole.faces].mean(axis=1)
+    mesh = without(whole, np.linalg.norm(middle - [0.65, 0.0, 0.0], axis=1) < 0.3)
+    off = []
+    for fair in (True, False):
+        found = fill_holes(mesh, fair=fair)
+        require_sound(mesh, found)
+        points = patch_points(found)
+        off.append(np.abs(np.hypot(np.hypot(*points[:, :2].T) - 1.0, points[:, 2]) - 0.35).max())
+    assert off[0] < 0.006 < 0.09 < off[1]
+
+
+def test_a_plane_stays_one():
+    box = inputs.subdivided(catalog.box(), 4)
+    middle = box.vertices[box.faces].mean(axis=1)
+    mesh = without(box, np.linalg.norm(middle - [0.5, 0.5, 1.0], axis=1) < 0.25)
+    found = fill_holes(mesh, fair=True)
+    require_sound(mesh, found)
+    assert found.faired.tolist() == [True]
+    assert found.mesh.vertex_count > mesh.vertex_count
+    assert found.mesh.volume == pytest.approx(1.0, rel=1e-12)
+
+
+def test_what_is_in_the_way_keeps_a_patch_plain():
+    # Above the plain patch at 0.7, below the sphere.
+    mesh = cap(catalog.icosphere(3), 0.7, catalog.moved(catalog.scaled(catalog.icosphere(1), 0.05), (0.0, 0.0, 0.97)))
+    plain, fair = fill_holes(mesh), fill_holes(mesh, fair=True)
+    require_sound(mesh, fair)
+    assert (fair.filled.tolist(), fair.faired.tolist()) == ([True], [False])
+    assert np.array_equal(fair.mesh.faces, plain.mesh.faces)
+    assert np.array_equal(fair.mesh.vertices, plain.mesh.vertices)
+
+
+def test_large_patches_stay_plain(monkeypatch):
+    mesh = catalog.join(cap(catalog.icosphere(4), 0.9), catalog.moved(cap(catalog.icosphere(3), 0.9), (3.0, 0.0, 0.0)))
+    monkeypatch.setattr(fairing, "MOST_FACES", 100)
+    found = fill_holes(mesh, fair=True)
+    require_sound(mesh, found)
+    assert found.filled.all()
+    assert sorted(found.faired.tolist()) == [False, True]
+    assert np.bincount(found.hole[found.hole >= 0])[found.faired] <= 100
+
+
+@settings(max_examples=15)
+@given(st.sampled_from(SOLIDS), st.floats(0.02, 0.6), st.integers(0, 2**31))
+def test_fair_patches_keep_what_plain_ones_do(make, share, seed):
+    whole = inputs.subdivided(make(), 1)
+    mesh = without(whole, np.random.default_rng(seed).random(whole.face_count) < share)
+    found = fill_holes(mesh, fair=True)
+    require_sound(mesh, found)
+    assert np.array_equal(found.filled, fill_holes(mesh).filled)
+
+
+def test_new_vertices_have_attributes_of_the_rim():
+    whole = catalog.icosphere(4)
+    mesh = cap(whole, 0.8)
+    values = np.arange(mesh.vertex_count)
+    data = {
+        "vertex_data": {"v": values},
+        "corner_data": {"c": values[mesh.faces]},
+        "face_data": {"f": mesh.faces[:, 0]},
+    }
+    given = TriangleMesh(mesh.vertices, mesh.faces, name="cap", meters_per_unit=0.001, **data)
+    found = fill_holes(given, fair=True)
+    full, new = found.mesh, found.hole >= 0
+    rim = np.intersect1d(full.faces[new], values)
+    assert np.array_equal(full.vertex_data["v"][: len(values)], values)
+    assert np.isin(full.vertex_data["v"][len(values) :], rim).all()
+    assert np.array_equal(full.vertex_data["v"][full.faces], full.corner_data["c"])
+    assert (full.name, full.meters_per_unit) == ("cap", 0.001)
+
+
+@pytest.mark.parametrize("scale", [2.0**-660, 2.0**660])
+def test_sizes_do_not_matter_to_fair_patches(scale):
+    mesh = cap(catalog.icosphere(3), 0.7)
+    found, large = fill_holes(mesh, fair=True), fill_holes(catalog.scaled(mesh, scale), fair=True)
+    assert large.faired.all()
+    assert np.allclose(large.mesh.vertices / scale, found.mesh.vertices, atol=1e-9)
+
+
+def test_without_scipy_there_is_a_remedy(monkeypatch):
+    monkeypatch.setitem(sys.modules, "scipy.sparse", None)
+    with pytest.raises(MissingDependencyError, match=r"a fair patch of a hole needs the package scipy.*\[fair\]"):
+        fill_holes(cap(catalog.icosphere(2), 0.7), fair=True)
+    with pytest.raises(InputError, match="fair"):
+        fill_holes(catalog.box(), fair=1)

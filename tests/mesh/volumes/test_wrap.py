@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 import geokit as gk
 from benchmarks import scenes
+from benchmarks.catalog.mesh_catalog import l_profile
 from geokit.errors import InputError
-from geokit.mesh import TriangleMesh, audit, box, plane, sphere, torus, wrap
+from geokit.mesh import TriangleMesh, audit, box, cylinder, plane, sphere, torus, wrap
 from tests.support.assemblies import concatenated, turned
 
 TRIMESH = pytest.importorskip("trimesh")
@@ -249,3 +251,25 @@ def test_a_tolerance_that_no_memory_holds_is_refused_in_words_of_the_call(tolera
         gk.errors.DeviceMemoryError, match=rf"^tolerance: voxels for {tolerance} need about .* MiB.*larger tolerance"
     ):
         wrap(BALL, tolerance=float(tolerance), device="cpu")
+
+
+def sharp_edges(mesh: TriangleMesh) -> np.ndarray:
+    """Ends of edges between faces more than 30 degrees apart (E, 2, 3)."""
+    same = TRIMESH.Trimesh(mesh.vertices, mesh.faces, process=False)
+    return mesh.vertices[same.face_adjacency_edges[same.face_adjacency_angles > np.radians(30.0)]]
+
+
+@pytest.mark.parametrize(
+    "make", [box, l_profile, lambda: cylinder(1.0, 1.0, segments=24)], ids=["box", "L", "cylinder"]
+)
+def test_edges_are_edges_again_within_the_tolerance(make) -> None:
+    mesh = turned(make(), 2, 0.3)
+    tolerance = 0.02 * mesh.diagonal
+    found = wrap(mesh, tolerance=tolerance, device="cpu").mesh
+    asked, there = (
+        (ends[:, :1] + np.linspace(0.0, 1.0, 60)[:, None] * (ends[:, 1:] - ends[:, :1])).reshape(-1, 3)
+        for ends in map(sharp_edges, (mesh, found))
+    )
+    assert cKDTree(there).query(asked)[0].max() < tolerance
+    # Those of the wrap are no others.
+    assert cKDTree(asked).query(there)[0].max() < 1.5 * tolerance

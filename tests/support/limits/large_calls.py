@@ -32,6 +32,10 @@ class LargeScene(Scene):
         self.other = gk.mesh.TriangleMesh(self.mesh.vertices * 0.9 + 0.01, self.mesh.faces)
         self.coarse = icosphere(6 if scale >= 0.5 else 5, radius=10.0)
         self.simple = icosphere(5 if scale >= 0.5 else 4, radius=10.0)
+        self.torn = gk.mesh.TriangleMesh(self.mesh.vertices, self.mesh.faces[rng.random(self.mesh.face_count) >= 0.02])
+        spikes = self.mesh.vertices.copy()
+        spikes[0] *= -1.05
+        self.crossed = gk.mesh.TriangleMesh(spikes, self.mesh.faces)
         self.device = device
         self.surface = gk.mesh.Surface(self.mesh, device=device)
         self.directions = rng.normal(size=(rows, 3))

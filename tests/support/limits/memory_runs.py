@@ -46,7 +46,7 @@ NO_ESTIMATE = {
     "points.NeighborGrid.radius_search_blocks(groups)", "points.NeighborGrid.radius_search_blocks(periodic)",
     "points.PointCloud", "volume.inspect", "native.inspect_vdb", "mesh.as_mesh", "volume.to_pyvista",
     "volume.from_mesh_file", "points.process_file", "points.load_tiles",
-    "mesh.audit_file", "mesh.wrap", "mesh.fill_holes", "mesh.repair", "mesh.remove_self_intersections",
+    "mesh.audit_file", "mesh.wrap",
 }  # fmt: skip
 # Over a second, or the same as another call.
 SLOW = {

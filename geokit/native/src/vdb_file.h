@@ -1,10 +1,8 @@
-// Reading .vdb files, with checks that OpenVDB's own io::File does not make.
+// Reading .vdb files, with checks that OpenVDB's own io::File does not make, and writing them, with the errors that it
+// ignores.
 #pragma once
 
-#include "buffer.h"
-#include "metadata.h"
-#include "pulsed_file.h"
-#include "transform.h"
+#include "convert.h"
 
 #include <openvdb/io/Archive.h>
 #include <openvdb/io/GridDescriptor.h>
@@ -13,10 +11,19 @@
 #include <istream>
 #include <memory>
 #include <optional>
-#include <string>
-#include <vector>
 
 namespace geokit {
+
+// Metadata that belongs to the grid. Left out are the items that the NanoVDB buffer holds (name; class if it survives)
+// and those that only describe the grid in its file (statistics), which are computed again on writing. That values have
+// 16 bits is kept, that they have not goes without saying.
+std::vector<MetadataItem> metadata_of(const openvdb::GridBase& grid);
+
+// All metadata of a file.
+std::vector<MetadataItem> metadata_of(const openvdb::MetaMap& file);
+
+// Sets items of a grid or a file, replacing existing ones. Throws BridgeError("input") for bytes of the wrong length.
+void set_metadata(openvdb::MetaMap& target, const std::vector<MetadataItem>& items);
 
 // One grid of a file, as described by its header.
 struct GridHeader {
@@ -91,5 +98,10 @@ private:
     std::vector<MetadataItem> metadata_;
     std::vector<Entry> entries_;
 };
+
+// Adds the metadata that OpenVDB adds on writing, and writes the grids into a new file with `metadata` of its own.
+// Throws BridgeError("input") for an unknown compression, and ("access").
+void save_grids(const std::string& path, const openvdb::GridPtrVec& grids, const std::string& compression,
+    const openvdb::MetaMap& metadata = {});
 
 } // namespace geokit
