@@ -98,6 +98,6 @@ def _torus_volume() -> Subject:
 
 
 def _torus_cloud() -> Subject:
-    from geokit.accuracy.charts.point_normals import torus_cloud
+    from geokit.accuracy.charts.points import torus_cloud
 
     return Subject("torus cloud", points=torus_cloud(CLOUD_COUNT, noise=0.0)[0])

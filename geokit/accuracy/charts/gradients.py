@@ -20,8 +20,7 @@ from geokit.errors import GeokitError
 
 if TYPE_CHECKING:
     from geokit.accuracy.charts.mesh_setup import MeshSetup
-    from geokit.accuracy.charts.volume_points import VolumePoints
-    from geokit.accuracy.charts.volume_setup import Known, NearSurface
+    from geokit.accuracy.charts.volume_setup import Known, NearSurface, VolumePoints
     from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 __all__ = ["gradients_chart", "normals_chart", "sdf_gradients_chart"]

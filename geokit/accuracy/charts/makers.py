@@ -78,8 +78,8 @@ def volume_charts(subject: Subject, device: Any, quick: bool) -> list[Chart]:
     from geokit.accuracy.charts.conversions import isosurface_chart
     from geokit.accuracy.charts.gradients import gradients_chart
     from geokit.accuracy.charts.sampling import sampling_chart
-    from geokit.accuracy.charts.volume_points import VolumePoints
     from geokit.accuracy.charts.volume_raycast import volume_raycast_chart
+    from geokit.accuracy.charts.volume_setup import VolumePoints
 
     if subject.volume is None:
         raise InputError(f"subject: {subject.name!r} has no volume; give one, or see mesh_volume_charts")
@@ -98,16 +98,13 @@ def points_charts(subject: Subject, device: Any, quick: bool) -> list[Chart]:
     - "point_normals" and "torus_normals": by number of neighbors, against plane fits and against a known shape.
     - "downsample": methods by the distance from the points to the nearest kept point.
     """
-    from geokit.accuracy.charts.downsample import downsample_chart
-    from geokit.accuracy.charts.neighbors import nearest_chart, neighbors_chart
-    from geokit.accuracy.charts.point_normals import point_normals_charts
-    from geokit.accuracy.charts.points_setup import PointsSetup
+    from geokit.accuracy.charts import points as of_points
 
     if subject.points is None or len(subject.points) < FEWEST:
         raise InputError(f"subject: {subject.name!r} has no points, or fewer than {FEWEST}; give a cloud")
-    setup = PointsSetup(subject.points, device, quick)
-    charts = [neighbors_chart(setup), nearest_chart(setup)]
-    return [*charts, *point_normals_charts(setup), downsample_chart(setup)]
+    setup = of_points.PointsSetup(subject.points, device, quick)
+    charts = [of_points.neighbors_chart(setup), of_points.nearest_chart(setup)]
+    return [*charts, *of_points.point_normals_charts(setup), of_points.downsample_chart(setup)]
 
 
 def _mesh_of(subject: Subject, other: str = "") -> TriangleMesh:

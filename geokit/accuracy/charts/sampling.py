@@ -11,8 +11,7 @@ from geokit.accuracy.trials.model import Chart, Judgement, Trial
 from geokit.accuracy.trials.running import failed, judged, on_host, send, setting_of
 
 if TYPE_CHECKING:
-    from geokit.accuracy.charts.volume_points import VolumePoints
-    from geokit.accuracy.charts.volume_setup import NearSurface
+    from geokit.accuracy.charts.volume_setup import NearSurface, VolumePoints
     from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["query_trial", "sampling_chart", "sdf_sampling_chart", "volume_trials"]
