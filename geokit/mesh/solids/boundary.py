@@ -155,7 +155,7 @@ def _canonical(corners: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArr
 
 
 def _joined(
-    mesh: TriangleMesh, read: _Reading, crowded: list[NDArray[np.int64]], size: float, surface: Any
+    mesh: TriangleMesh, read: Reading, crowded: list[NDArray[np.int64]], size: float, surface: Any
 ) -> tuple[Pieces | None, str]:
     """The boundary of the union, and why surface inside of it is still there; None if no union is right."""
     bodies, judge = read.bodies, read.judge
@@ -186,7 +186,7 @@ def _assembled(mesh: TriangleMesh, rest: NDArray[np.int64], pieces: Pieces | Non
     return Pieces(whole.vertices, whole.faces[order], whole.source[order])
 
 
-class _Reading(NamedTuple):
+class Reading(NamedTuple):
     """A mesh read as solids and sheets.
 
     Attributes:
@@ -206,7 +206,7 @@ class _Reading(NamedTuple):
     said: str
 
 
-def _read_solids(mesh: TriangleMesh, given: Any, size: float, make_surface: Any) -> _Reading:
+def _read_solids(mesh: TriangleMesh, given: Any, size: float, make_surface: Any) -> Reading:
     """The reading of a mesh that leaves no sheets outside of solids, else the one with most faces in solids."""
     found = []
     for bodies in closed_bodies(mesh, None if given._orientation.flipped.any() else given._topology):
@@ -217,7 +217,7 @@ def _read_solids(mesh: TriangleMesh, given: Any, size: float, make_surface: Any)
             judge = make_surface(TriangleMesh(mesh.vertices, mesh.faces[rows])) if len(rows) else None
         inner, crossing = _inner_sheets(mesh, sheets, judge, CONTACT * size)
         said = "open sheets lie inside of a body in part" if crossing else ""
-        found.append(_Reading(bodies, solids, sheets, inner, judge, said))
+        found.append(Reading(bodies, solids, sheets, inner, judge, said))
         if len(inner) == len(sheets):
             return found[-1]._replace(said="")
     return found[0]

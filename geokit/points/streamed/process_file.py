@@ -161,7 +161,7 @@ def process_file(
                 )
         points: Callable[[], Iterator[Block]] = functools.partial(_source, source, finite_only)
         if voxel_size is not None:
-            kept = _Voxels(voxel_size, memory, folder, resolved, thinning).of(points(), known)
+            kept = Voxels(voxel_size, memory, folder, resolved, thinning).of(points(), known)
             points, known = functools.partial(blocks_of, kept), known_of(blocks_of(kept), kept.count)
         results = work.done(points(), known, folder, executor, computing)
         limits = (known.lower, known.upper) if known.count else None
@@ -325,7 +325,7 @@ class Results:
         return whole
 
 
-class _Voxels:
+class Voxels:
     """Downsamples by voxels.
 
     Args:
