@@ -310,7 +310,7 @@ class SignQueries(PointQueries):
     @cached_property
     def _sign_choice(self) -> Any:
         """Of queries, which tell the sides of sheets too."""
-        from geokit.mesh.sign.open_sheets import choose_side
+        from geokit.mesh.sign.choice import choose_side
 
         return choose_side(self) if self._signs is self else self._with_left_out(self._signs._sign_choice)
 

@@ -34,8 +34,17 @@ from geokit.points._normals import normals as normals_of
 from geokit.points.clouds.voxel_centroids import require_resolved
 from geokit.points.clouds.voxel_centroids_kernels import PIECE
 from geokit.points.streamed.columns import Density, Normals
-from geokit.points.streamed.records import blocks_of, known_of, records_of, sample_of, type_of
-from geokit.points.streamed.tiles import MOST_POINTS, OWN_SHARE, ROW, Tiles
+from geokit.points.streamed.tiles import (
+    MOST_POINTS,
+    OWN_SHARE,
+    ROW,
+    Tiles,
+    blocks_of,
+    known_of,
+    records_of,
+    sample_of,
+    type_of,
+)
 
 if TYPE_CHECKING:
     import warp as wp
