@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from geokit.accuracy.reference import mesh as reference
 from geokit.accuracy.stability.fields import unit_vectors
-from geokit.accuracy.stability.mesh_questions import judged
+from geokit.accuracy.stability.shapes import judged
 from geokit.accuracy.trials.model import Judgement, Sweeps, cases_of
 
 __all__ = ["SWEEPS"]

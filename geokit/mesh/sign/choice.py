@@ -13,7 +13,7 @@ import numpy as np
 
 from geokit.core.memory.pinned import host_flags
 from geokit.mesh.model.triangle_mesh import TriangleMesh
-from geokit.mesh.sign.inner_sheets import EXTREME_SIZE, INNER_POINT
+from geokit.mesh.sign.left_out import EXTREME_SIZE, INNER_POINT
 from geokit.mesh.topology.audit import face_parts
 from geokit.mesh.topology.bodies import closed_bodies
 from geokit.mesh.topology.measures import largest_of_each

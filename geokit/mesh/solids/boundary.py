@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from geokit.mesh.attributes.derived import derived, with_data
 from geokit.mesh.model.triangle_mesh import TriangleMesh
-from geokit.mesh.sign.inner_sheets import CONTACT, EXTREME_SIZE, collapsed, is_inside, sheets_inside
+from geokit.mesh.sign.left_out import CONTACT, EXTREME_SIZE, collapsed, is_inside, sheets_inside
 from geokit.mesh.solids.contact import within_contact
 from geokit.mesh.solids.judging import FACES_FOR_A_SHARE, OVERLAP_SHARE, checkable, self_overlap, verdict_of
 from geokit.mesh.solids.pieces import Pieces, boxes_that_meet, combined, inflated, pieces_of, together
