@@ -38,8 +38,8 @@ def mesh_charts(subject: Subject, device: Any, quick: bool) -> list[Chart]:
     """
     from geokit.accuracy.charts.closest_point import closest_point_charts
     from geokit.accuracy.charts.first_hit import first_hit_charts
-    from geokit.accuracy.charts.gradients import normals_chart
     from geokit.accuracy.charts.mesh_setup import MeshSetup
+    from geokit.accuracy.charts.sampling import normals_chart
     from geokit.accuracy.charts.sign import sign_charts
 
     setup = MeshSetup(_mesh_of(subject), device, quick)
@@ -57,8 +57,7 @@ def mesh_volume_charts(subject: Subject, device: Any, quick: bool) -> list[Chart
     - "sdf_gradients": voxel size and order against the direction to the closest point.
     """
     from geokit.accuracy.charts.conversions import from_mesh_chart, from_volume_chart
-    from geokit.accuracy.charts.gradients import sdf_gradients_chart
-    from geokit.accuracy.charts.sampling import sdf_sampling_chart
+    from geokit.accuracy.charts.sampling import sdf_gradients_chart, sdf_sampling_chart
     from geokit.accuracy.charts.volume_setup import NearSurface
 
     near = NearSurface(_mesh_of(subject, ", or see volume_charts"), device, quick)
@@ -76,8 +75,7 @@ def volume_charts(subject: Subject, device: Any, quick: bool) -> list[Chart]:
         UnsupportedGridError: The grid's values are not floating point or quantized.
     """
     from geokit.accuracy.charts.conversions import isosurface_chart
-    from geokit.accuracy.charts.gradients import gradients_chart
-    from geokit.accuracy.charts.sampling import sampling_chart
+    from geokit.accuracy.charts.sampling import gradients_chart, sampling_chart
     from geokit.accuracy.charts.volume_raycast import volume_raycast_chart
     from geokit.accuracy.charts.volume_setup import VolumePoints
 
