@@ -153,12 +153,7 @@ def _name(thing: Any) -> str:
     return name.encode("utf-8", "replace").decode() or kind
 
 
-def _bytes_shown(thing: Any, *_: Any, **__: Any) -> float:
-    """Of the page, and of the color maps' library."""
-    return (0 if "matplotlib" in sys.modules else 30 << 20) + _bytes(thing)
-
-
-@needs(_bytes_shown, fatal=True)
+@needs(lambda thing, *_, **__: _bytes(thing), fatal=True)
 def show(thing: Any, path: str | os.PathLike[str] | None = None) -> Page:
     """A page of one thing, shown: below the cell of a notebook, elsewhere in the browser, unless ``path`` is given."""
     if path is not None or _in_notebook():

@@ -325,7 +325,6 @@ class TestIndexSpace:
         "sampling.differential",
         "sampling.trilinear_table",
         "adaptive.sample",
-        "adaptive.stencil",
     ],
 )
 def test_no_kernel_fuses_products_with_sums(name):
