@@ -36,11 +36,10 @@ def mesh_charts(subject: Subject, device: Any, quick: bool) -> list[Chart]:
     - "first_hit_edges": shares of leaks of rays aimed at edges and vertices.
     - "normals", of closed meshes: gradients of level sets, by voxel size and order, against the normals of the faces.
     """
-    from geokit.accuracy.charts.closest_point import closest_point_charts
+    from geokit.accuracy.charts.closest_point import closest_point_charts, sign_charts
     from geokit.accuracy.charts.first_hit import first_hit_charts
     from geokit.accuracy.charts.mesh_setup import MeshSetup
     from geokit.accuracy.charts.sampling import normals_chart
-    from geokit.accuracy.charts.sign import sign_charts
 
     setup = MeshSetup(_mesh_of(subject), device, quick)
     charts = [*closest_point_charts(setup), *sign_charts(setup), *first_hit_charts(setup)]
