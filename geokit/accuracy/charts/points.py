@@ -16,6 +16,7 @@ from geokit.accuracy.trials.running import angles, held_bytes, judged, on_host, 
 __all__ = ["PointsSetup", "downsample_chart", "nearest_chart", "neighbors_chart", "point_normals_charts", "torus_cloud"]
 
 Floats = NDArray[np.float64]
+
 # Seed of every random choice: two runs use the same queries.
 SEED = 29
 # Queries of a timed call, in a quick chart and in a full one: 1 to 50 ms, and up to 300 ms, on two cores; more on a

@@ -33,6 +33,7 @@ __all__ = [
 ]
 
 Floats = NDArray[np.float64]
+
 # Codecs that geokit can make. "half" comes from a .vdb file, measured as read back: NanoVDB only has a name for it.
 CODECS = ("float", "half", "fp16", "fp8", "fp4", "fpn")
 # Codecs of a quick chart that is not about the loss of codecs.

@@ -40,6 +40,7 @@ stepped line is the Pareto front: no other setting is both faster and more exact
 answers are on it only if every setting has some. Errors are those of the checked answers, not bounds for all. Times are
 medians and comparable within this report only. Where settings give different numbers of answers, as finer voxels give
 more triangles, the chart shows the time of a call."""
+
 WIDTH, HEIGHT = 760, 430
 LEFT, RIGHT, TOP, BOTTOM = 98, 16, 14, 50
 RADIUS = 5.5

@@ -17,6 +17,7 @@ __all__ = ["SWEEPS"]
 
 SWEEPS = Sweeps()
 Floats = NDArray[np.float64]
+
 # Points of a cloud in the unit cube, and the number of them used as queries.
 COUNT, ASKED = 2000, 200
 SPACING = COUNT ** (-1 / 3)
