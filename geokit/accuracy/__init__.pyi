@@ -1,5 +1,5 @@
 # What is measured: subjects, charts, trials.
-from ._subjects import default_subjects as default_subjects
+from ._run import default_subjects as default_subjects
 from .trials.model import (
     Subject as Subject,
     Chart as Chart,

@@ -11,7 +11,7 @@ from geokit.cli._program.console import announce_compiling, note, print_json, pr
 from geokit.errors import FileAccessError, InputError
 
 if TYPE_CHECKING:
-    from geokit.cli._demo.log import DemoLog
+    from geokit.cli._demo.steps import DemoLog
 
 __all__ = ["demo"]
 
@@ -66,7 +66,7 @@ def demo(
     if json:
         print_json(log.entries)
         return
-    from geokit.cli._demo.log import COLUMNS
+    from geokit.cli._demo.steps import COLUMNS
 
     print()
     print_table(COLUMNS, [entry.cells() for entry in log.entries])
@@ -80,7 +80,7 @@ def run_chain(out: Path, mesh_path: Path | None, device: str | None, figure_form
     """Run every step of the demo and return its log."""
     from geokit.cli._demo import figures, steps
     from geokit.cli._demo.input import load_mesh
-    from geokit.cli._demo.log import DemoLog
+    from geokit.cli._demo.steps import DemoLog
     from geokit.mesh import Surface, audit
 
     log = DemoLog(quiet=quiet)

@@ -1,4 +1,9 @@
-"""Point cloud data (.pcd) of the Point Cloud Library: ASCII, binary, and binary with LZF compression."""
+"""Point cloud data (.pcd) of the Point Cloud Library: ASCII, binary, and binary with LZF compression.
+
+LZF is read and written in C++; in Python, which is slow, if geokit was built without a compiler. A control byte below
+32 announces that many literals plus one. Any other control byte is a back reference: its upper three bits are the
+length minus two (for 7 the next byte is added), its lower five bits and the next byte the distance minus one.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +26,7 @@ from geokit.formats.columns import Columns, integer_colors, joined
 from geokit.formats.text_files.plain import plain_text, without_mark
 from geokit.formats.text_files.rows import read_rows
 
-__all__ = ["content_bytes", "read_points", "write_points"]
+__all__ = ["compress", "content_bytes", "decompress", "read_points", "write_points"]
 
 ENCODINGS = ("ascii", "binary", "binary_compressed")
 _KEYS = ("VERSION", "FIELDS", "COLUMNS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
@@ -41,6 +46,13 @@ LZF_BEST = 88
 LZF_LIMIT = 2**32 - 1
 # A record of more bytes than this cannot be a point; NumPy counts them in 31 bits.
 LARGEST_RECORD = 2**30
+
+# Each 32 literals cost one more byte, and the last run may be short.
+LITERAL_RUN = 32
+LONGEST_MATCH = 264
+LARGEST_DISTANCE = 8192
+# Size of the compressor's hash table, which stores positions by the hash of the three bytes there.
+TABLE_BITS = 15
 
 
 @dataclass
@@ -246,7 +258,7 @@ def _record_type(fields: Sequence[_Field]) -> np.dtype[np.void]:
 
 
 def _compressed(data: bytes, header: _Header, path: Path) -> list[NDArray[np.generic]]:
-    from geokit.formats.lzf import decompress
+    from geokit.formats.pcd import decompress
 
     if len(data) < header.start + 8:
         raise FileFormatError(f"{path}: ends before the sizes of its compressed body; get a whole copy")
@@ -359,7 +371,7 @@ def _write_rows(file: io.BufferedWriter, arrays: Sequence[NDArray[np.generic]]) 
 
 
 def _write_compressed(file: io.BufferedWriter, arrays: Sequence[NDArray[np.generic]]) -> None:
-    from geokit.formats.lzf import compress
+    from geokit.formats.pcd import compress
 
     size = sum(array.nbytes for array in arrays)
     if size > LZF_LIMIT:
@@ -371,3 +383,94 @@ def _write_compressed(file: io.BufferedWriter, arrays: Sequence[NDArray[np.gener
         raise InputError("encoding: the compressed body would be over 4 GiB; use 'binary'")
     file.write(struct.pack("<II", len(packed), size))
     file.write(packed.data)
+
+
+def decompress(packed: NDArray[np.uint8], size: int) -> tuple[NDArray[np.uint8], int]:
+    """Decompress ``packed`` to ``size`` bytes; also returns the first damaged byte of ``packed``, or -1.
+
+    Damage is a reference before the beginning, a run beyond the end, or a size other than the declared one.
+    """
+    from geokit.native.parsers.extension import parsers
+
+    core = parsers()
+    if core is None:
+        return _decompress(packed.tobytes(), size)
+    out = np.zeros(size, np.uint8)
+    return out, int(core.lzf_decompress(np.ascontiguousarray(packed), out))
+
+
+def compress(plain: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Compress ``plain`` with LZF; the result is at most a 32nd longer."""
+    from geokit.native.parsers.extension import parsers
+
+    core = parsers()
+    if core is None:
+        return np.frombuffer(_compress(plain.tobytes()), np.uint8)
+    out = np.empty(len(plain) + len(plain) // LITERAL_RUN + 2, np.uint8)
+    return out[: int(core.lzf_compress(np.ascontiguousarray(plain), out))]
+
+
+def _decompress(packed: bytes, size: int) -> tuple[NDArray[np.uint8], int]:
+    out = bytearray()
+    at = start = 0
+    sound = True
+    while sound and at < len(packed):
+        start = at
+        control = packed[at]
+        at += 1
+        if control < LITERAL_RUN:
+            run = packed[at : at + control + 1]
+            sound = len(run) == control + 1 <= size - len(out)
+            out += run if sound else b""
+            at += control + 1
+            continue
+        long = control >> 5 == 7
+        if at + 1 + long > len(packed):
+            sound = False
+            continue
+        length = (control >> 5) + 2 + (packed[at] if long else 0)
+        distance = ((control & 31) << 8 | packed[at + long]) + 1
+        at += 1 + long
+        sound = distance <= len(out) and length <= size - len(out)
+        if sound:
+            # A reference may overlap its own output, whose bytes then repeat.
+            piece = out[len(out) - distance :][:length]
+            out += (piece * (length // len(piece) + 1))[:length]
+    found = np.zeros(size, np.uint8)
+    found[: len(out)] = np.frombuffer(out, np.uint8)
+    return found, -1 if sound and len(out) == size else start
+
+
+def _compress(plain: bytes) -> bytes:
+    """Compress to the same bytes as the C++ version."""
+    out = bytearray()
+    table: dict[int, int] = {}
+    at = start = 0
+    while at < len(plain):
+        length = distance = 0
+        if at + 2 < len(plain):
+            slot = (int.from_bytes(plain[at : at + 3], "big") * 2654435761 & 0xFFFFFFFF) >> (32 - TABLE_BITS)
+            seen = table.get(slot, -1)
+            table[slot] = at
+            distance = at - seen
+            if seen >= 0 and distance <= LARGEST_DISTANCE and plain[seen : seen + 3] == plain[at : at + 3]:
+                longest = min(len(plain) - at, LONGEST_MATCH)
+                length = 3
+                while length < longest and plain[seen + length] == plain[at + length]:
+                    length += 1
+        if not length:
+            at += 1
+            continue
+        _add_literals(out, plain[start:at])
+        code, back = length - 2, distance - 1
+        out += bytes([min(code, 7) << 5 | back >> 8, *([code - 7] if code >= 7 else []), back & 255])
+        at = start = at + length
+    _add_literals(out, plain[start:])
+    return bytes(out)
+
+
+def _add_literals(out: bytearray, literals: bytes) -> None:
+    for at in range(0, len(literals), LITERAL_RUN):
+        run = literals[at : at + LITERAL_RUN]
+        out.append(len(run) - 1)
+        out += run

@@ -15,8 +15,7 @@ from geokit._packages import require_package
 from geokit.errors import FileAccessError, FileFormatError, GeokitError
 from geokit.formats.file_content.body import Body
 from geokit.formats.file_content.references import LONGEST, require_inside
-from geokit.formats.scene_content.usd_shapes import SHAPES, shape_body
-from geokit.formats.scene_content.usd_times import is_animated, time_of, value_of
+from geokit.formats.scene_content.usd_shapes import SHAPES, is_animated, shape_body, time_of, value_of
 
 if TYPE_CHECKING:
     from geokit.formats.scene_content.usd_materials import Bound, Materials

@@ -11,7 +11,7 @@ from geokit._packages import require_package
 from geokit.errors import FileAccessError, FileFormatError
 from geokit.formats import usd
 from geokit.formats.file_content.references import LONGEST, require_inside
-from geokit.formats.scene_content.usd_times import value_of
+from geokit.formats.scene_content.usd_shapes import value_of
 
 __all__ = ["NewField", "prepare", "read_grids", "write_stage"]
 

@@ -1,3 +1,2 @@
 # Meshes whose vertices are an array of jax, and volumes whose active values are one.
-from ._surface import Surface as Surface
-from ._volume import Volume as Volume, with_values as with_values
+from ._traced import Surface as Surface, Volume as Volume, with_values as with_values

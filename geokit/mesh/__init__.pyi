@@ -36,7 +36,7 @@ from ._untangle import remove_self_intersections as remove_self_intersections, U
 from ._split import split as split, keep_largest as keep_largest
 from ._transform import transform as transform
 from ._csg import union as union, difference as difference, intersection as intersection
-from ._unit import convert_unit as convert_unit
+from ._transform import convert_unit as convert_unit
 from ._primitives import box as box, sphere as sphere, cylinder as cylinder
 from ._primitives import cone as cone, torus as torus, plane as plane
 

@@ -23,8 +23,7 @@ from geokit.mesh.topology.connectivity import MeshTopology, mesh_topology
 from geokit.mesh.topology.fairing import fair_patches
 from geokit.mesh.topology.measures import faces_without_area
 from geokit.mesh.topology.normals import face_normals
-from geokit.mesh.topology.rim_patches import patches
-from geokit.mesh.topology.rims import Rims, edges_within, find_rims
+from geokit.mesh.topology.rims import Rims, edges_within, find_rims, patches
 
 __all__ = ["FilledHoles", "fill_holes", "rim_points", "unclashing", "with_patches"]
 

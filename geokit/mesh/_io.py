@@ -27,7 +27,7 @@ from geokit.formats.foreign import require_format
 from geokit.formats.held import what_is_held
 from geokit.formats.reading_defaults import default_step, default_tolerance
 from geokit.formats.table import FORMATS, Format, extensions, module_of, with_formats
-from geokit.mesh._unit import convert_unit
+from geokit.mesh._transform import convert_unit
 from geokit.mesh.attributes.derived import with_data
 from geokit.mesh.model.data import checked_data
 from geokit.mesh.model.triangle_mesh import TriangleMesh

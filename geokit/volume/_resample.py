@@ -19,8 +19,7 @@ from geokit.volume.at_points.sample import require_order, sample
 from geokit.volume.level_set.band_widths import BandWidths, widths_of, with_widths
 from geokit.volume.level_set.operands import require_level_set, with_band
 from geokit.volume.model.sparse_volume import SparseVolume
-from geokit.volume.nanovdb.header import voxel_size_of
-from geokit.volume.nanovdb.header_options import checked_transform
+from geokit.volume.nanovdb.header import checked_transform, voxel_size_of
 from geokit.volume.nanovdb.layout import LEAF_VOXELS
 from geokit.volume.nanovdb.types import QUANTIZED
 from geokit.volume.sampling.resample_leaves import filled_leaves, target_leaves, way_between

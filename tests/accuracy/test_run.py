@@ -19,7 +19,7 @@ from geokit.accuracy import (
     Results,
     Subject,
     Trial,
-    _subjects,
+    _run,
     default_subjects,
     run,
 )
@@ -303,7 +303,7 @@ def test_default_subjects_are_of_every_kind():
 
 
 def test_without_the_samples_there_are_made_ones(monkeypatch, tmp_path):
-    monkeypatch.setattr(_subjects, "SAMPLES", tmp_path)
+    monkeypatch.setattr(_run, "SAMPLES", tmp_path)
     mesh, volume, points = default_subjects()
     assert mesh.mesh is not None
     assert volume.volume is not None

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from geokit.formats import ears
-from geokit.formats.ears import FEW, clip_ears
-from geokit.formats.polygons import triangulate
+from geokit.formats import polygons
+from geokit.formats.polygons import FEW, clip_ears, triangulate
 
 RANDOM = np.random.default_rng(11)
 
@@ -118,8 +117,8 @@ def test_two_corners_that_changed_places_cost_their_neighborhood_only() -> None:
 
 
 def test_the_looks_for_ears_are_used_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ears, "LOOKS", 0)
-    monkeypatch.setattr(ears, "FREE_LOOKS", 500)
+    monkeypatch.setattr(polygons, "LOOKS", 0)
+    monkeypatch.setattr(polygons, "FREE_LOOKS", 500)
     flat = _comb(2000)
     triangles = np.array(clip_ears(flat))
     assert set(triangles.ravel().tolist()) == set(range(2000))

@@ -10,7 +10,7 @@ import pytest
 
 import geokit as gk
 from geokit.formats.las import LARGEST_STEPS
-from geokit.formats.lzf import compress, decompress
+from geokit.formats.pcd import compress, decompress
 from geokit.points._io import load, save
 
 RANDOM = np.random.default_rng(11)

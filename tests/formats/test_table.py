@@ -16,7 +16,7 @@ from geokit import formats
 from geokit.cli import query
 from geokit.cli._kinds import kind_of_input, kind_of_output
 from geokit.cli._results import OUTPUT_EXTENSIONS
-from geokit.formats import lzf
+from geokit.formats import pcd
 from geokit.formats.reader import process as reader_process
 from geokit.formats.table import FORMATS, Format, extensions, image_module, module_of
 from geokit.formats.text_files import decimal
@@ -222,16 +222,16 @@ def test_lzf_in_python_is_that_in_cpp(kind, size, monkeypatch):
         "text": random.integers(0, 3, size).astype(np.uint8),
         "pairs": np.resize(random.integers(0, 256, 700).astype(np.uint8), size),
     }[kind]
-    packed = lzf.compress(plain)
+    packed = pcd.compress(plain)
     damaged = packed.copy()
     damaged[:: max(len(packed) // 5, 1)] ^= 0xE1
-    expected = lzf.decompress(damaged, size)[1]
+    expected = pcd.decompress(damaged, size)[1]
     monkeypatch.setattr(extension, "parsers", lambda: None)
-    np.testing.assert_array_equal(lzf.compress(plain), packed)
-    again, bad = lzf.decompress(packed, size)
+    np.testing.assert_array_equal(pcd.compress(plain), packed)
+    again, bad = pcd.decompress(packed, size)
     assert bad == -1
     np.testing.assert_array_equal(again, plain)
-    assert lzf.decompress(damaged, size)[1] == expected
+    assert pcd.decompress(damaged, size)[1] == expected
 
 
 @pytest.mark.parametrize(
@@ -239,7 +239,7 @@ def test_lzf_in_python_is_that_in_cpp(kind, size, monkeypatch):
     [(b"\x02ab", 3, 0), (b"\x00a\x20", 4, 2), (b"\x00a\xe0\x00", 10, 2), (b"\x00a\x20\x01", 4, 2), (b"", 1, 0)],
 )
 def test_damaged_lzf_in_python(packed, size, bad, without_parsers):
-    assert lzf.decompress(np.frombuffer(packed, np.uint8), size)[1] == bad
+    assert pcd.decompress(np.frombuffer(packed, np.uint8), size)[1] == bad
 
 
 def test_text_without_the_parsers_has_the_same_numbers(tmp_path, monkeypatch):

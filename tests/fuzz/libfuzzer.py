@@ -15,7 +15,7 @@ import blosc
 import numpy as np
 
 from benchmarks.catalog.typed_grids import VALUED, TypedGrid
-from geokit.formats.lzf import compress
+from geokit.formats.pcd import compress
 from tests.fuzz.originals import Target, originals
 from tests.sanitize.compiler import ROOT, clean_environment, find_clang
 

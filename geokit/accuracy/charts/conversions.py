@@ -16,8 +16,7 @@ from geokit.accuracy.trials.model import Chart, Judgement, Trial
 from geokit.accuracy.trials.running import failed, judged, setting_of
 
 if TYPE_CHECKING:
-    from geokit.accuracy.charts.volume_points import VolumePoints
-    from geokit.accuracy.charts.volume_setup import Known, NearSurface
+    from geokit.accuracy.charts.volume_setup import Known, NearSurface, VolumePoints
     from geokit.mesh.model.triangle_mesh import TriangleMesh
     from geokit.volume.model.sparse_volume import SparseVolume
 

@@ -36,11 +36,10 @@ def mesh_charts(subject: Subject, device: Any, quick: bool) -> list[Chart]:
     - "first_hit_edges": shares of leaks of rays aimed at edges and vertices.
     - "normals", of closed meshes: gradients of level sets, by voxel size and order, against the normals of the faces.
     """
-    from geokit.accuracy.charts.closest_point import closest_point_charts
+    from geokit.accuracy.charts.closest_point import closest_point_charts, sign_charts
     from geokit.accuracy.charts.first_hit import first_hit_charts
-    from geokit.accuracy.charts.gradients import normals_chart
     from geokit.accuracy.charts.mesh_setup import MeshSetup
-    from geokit.accuracy.charts.sign import sign_charts
+    from geokit.accuracy.charts.sampling import normals_chart
 
     setup = MeshSetup(_mesh_of(subject), device, quick)
     charts = [*closest_point_charts(setup), *sign_charts(setup), *first_hit_charts(setup)]
@@ -57,8 +56,7 @@ def mesh_volume_charts(subject: Subject, device: Any, quick: bool) -> list[Chart
     - "sdf_gradients": voxel size and order against the direction to the closest point.
     """
     from geokit.accuracy.charts.conversions import from_mesh_chart, from_volume_chart
-    from geokit.accuracy.charts.gradients import sdf_gradients_chart
-    from geokit.accuracy.charts.sampling import sdf_sampling_chart
+    from geokit.accuracy.charts.sampling import sdf_gradients_chart, sdf_sampling_chart
     from geokit.accuracy.charts.volume_setup import NearSurface
 
     near = NearSurface(_mesh_of(subject, ", or see volume_charts"), device, quick)
@@ -76,10 +74,9 @@ def volume_charts(subject: Subject, device: Any, quick: bool) -> list[Chart]:
         UnsupportedGridError: The grid's values are not floating point or quantized.
     """
     from geokit.accuracy.charts.conversions import isosurface_chart
-    from geokit.accuracy.charts.gradients import gradients_chart
-    from geokit.accuracy.charts.sampling import sampling_chart
-    from geokit.accuracy.charts.volume_points import VolumePoints
+    from geokit.accuracy.charts.sampling import gradients_chart, sampling_chart
     from geokit.accuracy.charts.volume_raycast import volume_raycast_chart
+    from geokit.accuracy.charts.volume_setup import VolumePoints
 
     if subject.volume is None:
         raise InputError(f"subject: {subject.name!r} has no volume; give one, or see mesh_volume_charts")
@@ -98,16 +95,13 @@ def points_charts(subject: Subject, device: Any, quick: bool) -> list[Chart]:
     - "point_normals" and "torus_normals": by number of neighbors, against plane fits and against a known shape.
     - "downsample": methods by the distance from the points to the nearest kept point.
     """
-    from geokit.accuracy.charts.downsample import downsample_chart
-    from geokit.accuracy.charts.neighbors import nearest_chart, neighbors_chart
-    from geokit.accuracy.charts.point_normals import point_normals_charts
-    from geokit.accuracy.charts.points_setup import PointsSetup
+    from geokit.accuracy.charts import points as of_points
 
     if subject.points is None or len(subject.points) < FEWEST:
         raise InputError(f"subject: {subject.name!r} has no points, or fewer than {FEWEST}; give a cloud")
-    setup = PointsSetup(subject.points, device, quick)
-    charts = [neighbors_chart(setup), nearest_chart(setup)]
-    return [*charts, *point_normals_charts(setup), downsample_chart(setup)]
+    setup = of_points.PointsSetup(subject.points, device, quick)
+    charts = [of_points.neighbors_chart(setup), of_points.nearest_chart(setup)]
+    return [*charts, *of_points.point_normals_charts(setup), of_points.downsample_chart(setup)]
 
 
 def _mesh_of(subject: Subject, other: str = "") -> TriangleMesh:

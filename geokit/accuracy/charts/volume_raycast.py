@@ -14,7 +14,7 @@ from geokit.accuracy.trials.model import Chart, Judgement, Trial
 from geokit.accuracy.trials.running import failed, judged, on_host, send, setting_of, unit
 
 if TYPE_CHECKING:
-    from geokit.accuracy.charts.volume_points import VolumePoints
+    from geokit.accuracy.charts.volume_setup import VolumePoints
 
 __all__ = ["volume_raycast_chart"]
 

@@ -1,38 +1,63 @@
-"""report.html: a self-contained page."""
+"""report.html: a self-contained page, with charts as inline SVG; the title of a mark describes it."""
 
 from __future__ import annotations
 
 import base64
 import itertools
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from typing import NamedTuple
 
 import numpy as np
 
-from geokit.accuracy.report.html_charts import legend, svg
 from geokit.accuracy.report.html_style import SCRIPT, STYLE
 from geokit.accuracy.report.pareto import cost_of, same_question, tolerance_steps
-from geokit.accuracy.report.plot import plot_of
-from geokit.accuracy.report.text import bytes_text, error_text, rate_text, seconds_text, share_text
+from geokit.accuracy.report.plot import Mark, Plot, decade_ticks, plot_of, tip_of
+from geokit.accuracy.report.text import (
+    bytes_text,
+    error_text,
+    power_text,
+    rate_text,
+    seconds_text,
+    share_text,
+    tick_text,
+)
 from geokit.accuracy.trials.model import Measurement
 from geokit.accuracy.trials.results import Failure, Group
+from geokit.render._chart import COLORS
 
-__all__ = ["Picture", "failure_text", "page"]
+__all__ = ["Picture", "failure_text", "page", "svg"]
 
 _ROW_COLUMNS = (
     *("", "method", "setting", "device", "a call", "each", "rate [1/s]", "spread"),
     *("max error", "99.9%", "rms", "wrong", "checked", "prepared", "peak of a call"),
 )
 _NUMBERS = frozenset((*_ROW_COLUMNS[4:], "tolerance", "memory"))
-
-
 INTRODUCTION = """geokit's methods over their settings, each answer compared with an independent float64 reference that
 shares no code with the method. Further left is faster, further down is more exact; both axes are logarithmic. The
 stepped line is the Pareto front: no other setting is both faster and more exact than one on it. Settings with wrong
 answers are on it only if every setting has some. Errors are those of the checked answers, not bounds for all. Times are
 medians and comparable within this report only. Where settings give different numbers of answers, as finer voxels give
 more triangles, the chart shows the time of a call."""
+
+WIDTH, HEIGHT = 760, 430
+LEFT, RIGHT, TOP, BOTTOM = 98, 16, 14, 50
+RADIUS = 5.5
+# Outlines of the markers, in units of their radius; the first is a circle. They are in the order of matplotlib's
+# markers in geokit.render, so that a method looks the same in the page and in the figure.
+SHAPES: tuple[tuple[tuple[float, float], ...], ...] = (
+    (),
+    ((-0.9, -0.9), (0.9, -0.9), (0.9, 0.9), (-0.9, 0.9)),
+    ((0.0, -1.15), (1.05, 0.85), (-1.05, 0.85)),
+    ((0.0, -1.25), (1.25, 0.0), (0.0, 1.25), (-1.25, 0.0)),
+    ((0.0, 1.15), (1.05, -0.85), (-1.05, -0.85)),
+    ((-0.35, -1.1), (0.35, -1.1), (0.35, -0.35), (1.1, -0.35), (1.1, 0.35), (0.35, 0.35), (0.35, 1.1), (-0.35, 1.1),
+     (-0.35, 0.35), (-1.1, 0.35), (-1.1, -0.35), (-0.35, -0.35)),
+    ((-1.1, -0.6), (-0.6, -1.1), (0.0, -0.5), (0.6, -1.1), (1.1, -0.6), (0.5, 0.0), (1.1, 0.6), (0.6, 1.1), (0.0, 0.5),
+     (-0.6, 1.1), (-1.1, 0.6), (-0.5, 0.0)),
+)  # fmt: skip
+DASHES = ("", "7 4", "2 3", "8 3 2 3")
 
 
 class Picture(NamedTuple):
@@ -101,7 +126,7 @@ def _section(group: Group, picture: Picture | None) -> str:
     title = f"{group.chart.title}: {group.subject}"
     parts = [f'<section id="{group.slug}">', f"<h2>{escape(title)}</h2>"]
     if plot.marks:
-        parts.append(f'<div class="wide">{svg(plot, title, group.chart.answers)}</div>{legend(plot)}')
+        parts.append(f'<div class="wide">{svg(plot, title, group.chart.answers)}</div>{_legend(plot)}')
     parts += [
         f'<p class="failed">Every answer wrong, so no error: {escape(row.method)}, {escape(row.setting)} on '
         f"{escape(row.device)}.</p>"
@@ -255,3 +280,103 @@ def choices(rows: Sequence[Measurement], vertical: str, per_call: bool = False) 
             best = kept[int(np.argmin([cost_of(row, per_call) for row in kept]))] if kept else None
             found.append(Choice(device, step, best))
     return found
+
+
+def svg(plot: Plot, title: str, answers: str) -> str:
+    """The SVG drawing; ``title`` is its text alternative."""
+    parts = [
+        f'<svg class="chart" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{escape(title)}" '
+        'xmlns="http://www.w3.org/2000/svg">'
+    ]
+    parts += _axes(plot)
+    # At the lower left and upper right, where a chart has no marks.
+    levels = ((plot.floor, plot.floor_name, LEFT + 4, "start"), (plot.ceiling, "not finite", WIDTH - RIGHT - 4, "end"))
+    for height, name, x, anchor in levels:
+        if height is not None:
+            y = _y(plot, height)
+            parts.append(f'<line class="level" x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{y:.1f}" y2="{y:.1f}"/>')
+            parts.append(f'<text class="level" text-anchor="{anchor}" x="{x}" y="{y - 5:.1f}">{escape(name)}</text>')
+    for number, front in enumerate(plot.fronts):
+        if front:
+            dash = DASHES[number % len(DASHES)]
+            parts.append(f'<path class="front" stroke-dasharray="{dash}" d="{_steps(plot, front)}"/>')
+    parts += [_mark(plot, mark, answers) for mark in plot.marks]
+    parts += [
+        f'<text class="letter" x="{_x(plot, mark.x) + 7:.1f}" y="{_y(plot, mark.y) - 7:.1f}">{mark.letter}</text>'
+        for front in plot.fronts
+        for mark in front
+    ]
+    return "\n".join([*parts, "</svg>"])
+
+
+def _legend(plot: Plot) -> str:
+    """The meaning of colors and lines, as a list."""
+    items = [
+        f'<li>{_swatch(number, hollow=False)}{escape(name)}</li>'
+        for number, name in enumerate(plot.methods)
+    ]  # fmt: skip
+    for number, device in enumerate(plot.devices):
+        line = f'<line class="front" x1="0" x2="30" y1="8" y2="8" stroke-dasharray="{DASHES[number % len(DASHES)]}"/>'
+        ring = ", marks with a dark outline" if number else ""
+        items.append(
+            f'<li><svg class="swatch line" viewBox="0 0 30 16">{line}</svg>front on {escape(device)}{ring}</li>'
+        )
+    if any(mark.hollow for mark in plot.marks):
+        items.append(f"<li>{_swatch(0, hollow=True)}hollow: some answers are wrong</li>")
+    return f'<ul class="legend">{"".join(items)}</ul>'
+
+
+def _x(plot: Plot, value: float) -> float:
+    low, high = (math.log10(end) for end in plot.x_range)
+    return LEFT + (math.log10(value) - low) / (high - low) * (WIDTH - LEFT - RIGHT)
+
+
+def _y(plot: Plot, value: float) -> float:
+    low, high = (math.log10(end) for end in plot.y_range)
+    return HEIGHT - BOTTOM - (math.log10(value) - low) / (high - low) * (HEIGHT - TOP - BOTTOM)
+
+
+def _axes(plot: Plot) -> list[str]:
+    right, bottom = WIDTH - RIGHT, HEIGHT - BOTTOM
+    parts: list[str] = []
+    for value in decade_ticks(plot.x_range):
+        x = _x(plot, value)
+        parts.append(f'<line class="grid" x1="{x:.1f}" x2="{x:.1f}" y1="{TOP}" y2="{bottom}"/>')
+        parts.append(f'<text class="tick" text-anchor="middle" x="{x:.1f}" y="{bottom + 18}">{tick_text(value)}</text>')
+    for value in plot.y_ticks:
+        y = _y(plot, value)
+        parts.append(f'<line class="grid" x1="{LEFT}" x2="{right}" y1="{y:.1f}" y2="{y:.1f}"/>')
+        parts.append(f'<text class="tick" text-anchor="end" x="{LEFT - 7}" y="{y + 4:.1f}">{power_text(value)}</text>')
+    parts.append(f'<path class="axis" d="M{LEFT} {TOP}V{bottom}H{right}"/>')
+    middle = (TOP + bottom) / 2
+    parts.append(f'<text class="label" x="{(LEFT + right) / 2}" y="{HEIGHT - 10}">{escape(plot.x_label)}</text>')
+    turned = f'transform="translate(20 {middle}) rotate(-90)"'
+    parts.append(f'<text class="label" {turned}>{escape(plot.y_label)}</text>')
+    return parts
+
+
+def _steps(plot: Plot, front: list[Mark]) -> str:
+    """The front as steps, not slopes: with less time than the next setting needs, no smaller error is available."""
+    points = [(_x(plot, mark.x), _y(plot, mark.y)) for mark in front]
+    path = f"M{points[0][0]:.1f} {points[0][1]:.1f}"
+    return path + "".join(f"H{x:.1f}V{y:.1f}" for x, y in points[1:])
+
+
+def _mark(plot: Plot, mark: Mark, answers: str) -> str:
+    shape = _shape(mark.method, _x(plot, mark.x), _y(plot, mark.y), ring=mark.device > 0, hollow=mark.hollow)
+    return f'<g class="mark" tabindex="0"><title>{escape(tip_of(mark.row, answers))}</title>{shape}</g>'
+
+
+def _shape(method: int, x: float, y: float, *, ring: bool, hollow: bool) -> str:
+    color = COLORS[method % len(COLORS)]
+    outline = SHAPES[(method + method // len(COLORS)) % len(SHAPES)]
+    kinds = " ".join(name for name, given in (("hollow", hollow), ("ring", ring)) if given)
+    look = f'class="{kinds}" fill="{color}" stroke="{color}" stroke-width="1.6"'
+    if not outline:
+        return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{RADIUS}" {look}/>'
+    corners = " ".join(f"{x + RADIUS * across:.1f},{y + RADIUS * down:.1f}" for across, down in outline)
+    return f'<polygon points="{corners}" {look}/>'
+
+
+def _swatch(method: int, *, hollow: bool) -> str:
+    return f'<svg class="swatch" viewBox="0 0 16 16">{_shape(method, 8.0, 8.0, ring=False, hollow=hollow)}</svg>'

@@ -43,7 +43,7 @@ The step of the granular example is swept in docs/granular.md."""
 PARTS = {
     "mesh": ("distance", "sign", "rays", "repair"),
     "volume": ("mesh", "sample", "rays", "change"),
-    "points": ("search", "shape"),
+    "points": ("sweeps",),
 }
 PAGE, FIGURES = "stability.md", Path("figures") / "stability"
 

@@ -10,18 +10,23 @@ from numpy.typing import NDArray
 
 from geokit.accuracy.reference import mesh as reference
 from geokit.accuracy.stability.fields import unit_vectors
-from geokit.accuracy.stability.mesh_questions import (
+from geokit.accuracy.stability.shapes import (
     OBLIQUE,
     around_and_near,
     judged,
+    moved,
     on_gpu,
     powers,
+    rotated,
+    scaled,
     size_sweeps,
+    sliver_fan,
     surface_of,
+    thin_plate,
+    torus,
     turned,
     unit_sized,
 )
-from geokit.accuracy.stability.shapes import moved, rotated, scaled, sliver_fan, thin_plate, torus
 from geokit.accuracy.trials.model import Judgement, Sweeps
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 

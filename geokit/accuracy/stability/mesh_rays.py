@@ -10,16 +10,21 @@ from numpy.typing import NDArray
 
 from geokit.accuracy.reference import mesh as reference
 from geokit.accuracy.stability.fields import unit_vectors
-from geokit.accuracy.stability.mesh_questions import (
+from geokit.accuracy.stability.shapes import (
     OBLIQUE,
+    box,
+    icosphere,
     judged,
+    moved,
     powers,
+    rotated,
+    scaled,
     size_sweeps,
+    sliver_fan,
     surface_of,
     turned,
     unit_sized,
 )
-from geokit.accuracy.stability.shapes import box, icosphere, moved, rotated, scaled, sliver_fan
 from geokit.accuracy.trials.model import Judgement, Sweeps
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 

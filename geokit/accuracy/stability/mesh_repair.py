@@ -7,13 +7,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.accuracy.stability.mesh_questions import OBLIQUE, judged, powers
 from geokit.accuracy.stability.shapes import (
+    OBLIQUE,
     box,
     flipped_faces,
     icosphere,
     join,
+    judged,
     moved,
+    powers,
     rotated,
     sliver_fan,
     without_cap,

@@ -8,15 +8,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.accuracy.stability.mesh_questions import judged, on_gpu, powers, surface_of
 from geokit.accuracy.stability.shapes import (
     copied_faces,
     flipped_faces,
     icosphere,
     join,
+    judged,
     moved,
+    on_gpu,
+    powers,
     rotated,
     sphere_distance,
+    surface_of,
     torus,
     without_cap,
     without_faces,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.accuracy.stability.fields import MIDDLE, Field, ball, field, joined, level_set, unit_vectors
-from geokit.accuracy.stability.mesh_questions import judged
+from geokit.accuracy.stability.shapes import judged
 from geokit.accuracy.trials.model import Judgement, Sweeps
 
 __all__ = ["SWEEPS"]

@@ -30,7 +30,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from geokit.accuracy.trials.peak_memory import reset_high_water, resident_status
+from geokit.accuracy.trials.measuring import reset_high_water, resident_status
 from geokit.cli._batches.recipe import GLOBAL, Step, is_made, names_of, output_name
 from geokit.cli._batches.worker import unstarted, versions
 from geokit.cli._program.app import build_app, build_commands

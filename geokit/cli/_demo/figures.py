@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from geokit import render
 from geokit.accuracy.report.table import write_rows
 from geokit.cli._demo.input import Camera
-from geokit.cli._demo.log import DemoLog
-from geokit.cli._demo.steps import AccuracyPoint, Neighborhood, Projection
+from geokit.cli._demo.steps import AccuracyPoint, DemoLog, Neighborhood, Projection
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 if TYPE_CHECKING:

@@ -57,7 +57,7 @@ def length_in(meters: float | None, length: Length, option: str) -> float:
     """
     if not length.unit:
         return length.number
-    from geokit.mesh._unit import meters_in
+    from geokit.mesh._transform import meters_in
 
     unit = meters_in(length.unit, f"--{option}")
     if meters is None:

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from geokit.errors import FileFormatError
-from geokit.formats.scene_content.gltf_accessors import Accessors
-from geokit.formats.scene_content.gltf_entries import entry_of, object_of, objects, primitives_of
+from geokit.formats.scene_content.gltf_accessors import Accessors, entry_of, object_of, objects, primitives_of
 from geokit.formats.scene_content.gltf_shapes import INSTANCES, VISIBILITY, write_out
 
 __all__ = ["is_animated", "opened"]

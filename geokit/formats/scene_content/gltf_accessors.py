@@ -1,4 +1,7 @@
-"""Accessors of glTF 2.0 as arrays: strides, sparse entries, normalized integers; and arrays as new accessors."""
+"""Accessors of glTF 2.0 as arrays: strides, sparse entries, normalized integers; and arrays as new accessors.
+
+Damaged files hold anything: an entry of their JSON that is not of the kind asked for counts as absent.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ from numpy.typing import NDArray
 
 from geokit.errors import FileFormatError
 
-__all__ = ["FLOAT", "Accessors"]
+__all__ = ["FLOAT", "Accessors", "entry_of", "object_of", "objects", "primitives_of"]
 
 _KINDS: dict[int, np.dtype[Any]] = {
     5120: np.dtype("<i1"), 5121: np.dtype("<u1"), 5122: np.dtype("<i2"), 5123: np.dtype("<u2"), 5125: np.dtype("<u4"),
@@ -131,3 +134,26 @@ def _size(value: Any) -> int:
     if not isinstance(value, int) or value < 0:
         raise ValueError(f"{value!r} is no size")
     return value
+
+
+def object_of(value: Any) -> dict[str, Any]:
+    """The object, or an empty one."""
+    return value if isinstance(value, dict) else {}
+
+
+def objects(value: Any, kind: type = dict) -> list[Any]:
+    """The entries of a list that are objects, or of another kind."""
+    return [entry for entry in value if isinstance(entry, kind)] if isinstance(value, list) else []
+
+
+def entry_of(tree: dict[str, Any], name: str, index: Any) -> dict[str, Any] | None:
+    """The object of that number in a list of the file; None if there is none."""
+    found = tree.get(name)
+    if not isinstance(found, list) or not isinstance(index, int) or not 0 <= index < len(found):
+        return None
+    return found[index] if isinstance(found[index], dict) else None
+
+
+def primitives_of(tree: dict[str, Any]) -> list[dict[str, Any]]:
+    """The primitives of all meshes."""
+    return [part for mesh in objects(tree.get("meshes")) for part in objects(mesh.get("primitives"))]

@@ -19,8 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.formats.scene_content.gltf_accessors import FLOAT, Accessors
-from geokit.formats.scene_content.gltf_entries import entry_of, object_of, objects, primitives_of
+from geokit.formats.scene_content.gltf_accessors import FLOAT, Accessors, entry_of, object_of, objects, primitives_of
 
 __all__ = ["INSTANCES", "VISIBILITY", "local_pose", "turn_of", "write_out"]
 

@@ -1,4 +1,7 @@
-"""The shapes of USD that are no meshes, as polygons. Standard library only: reader processes wait for this import."""
+"""The shapes of USD that are no meshes, as polygons, and the times at which a stage is read.
+
+Standard library only, and usd-core is imported in the functions: reader processes wait for this import.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +12,8 @@ from collections.abc import Callable
 from typing import Any
 
 from geokit.formats.file_content.body import Body
-from geokit.formats.scene_content.usd_times import value_of
 
-__all__ = ["SHAPES", "shape_body"]
+__all__ = ["SHAPES", "is_animated", "shape_body", "time_of", "value_of"]
 
 # Corners around an axis, and rings of a half sphere. All vertices lie on the shape, and the faces within 0.13% of its
 # radius: 1 - cos(pi / 64).
@@ -115,3 +117,34 @@ def _revolved(outline: Outline) -> tuple[list[tuple[float, ...]], list[tuple[int
             # A ring of one point makes a triangle of the quad.
             polygons.append(tuple(dict.fromkeys(corners)))
     return points, polygons
+
+
+def time_of(*attributes: Any) -> Any:
+    """The default time, or the earliest where one of the attributes has samples and no default.
+
+    ``Get()`` would give the fallback of the schema there, such as a radius of 1.
+    """
+    from pxr import Usd
+
+    default = Usd.TimeCode.Default()
+    for attribute in attributes:
+        unset = (Usd.ResolveInfoSourceNone, Usd.ResolveInfoSourceFallback)
+        if (
+            attribute.GetResolveInfo(default).GetSource() in unset
+            and attribute.GetResolveInfo().GetSource() not in unset
+        ):
+            return Usd.TimeCode.EarliestTime()
+    return default
+
+
+def value_of(attribute: Any) -> Any:
+    """The value at the default time, or the first sample; None if there is none."""
+    return attribute.Get(time_of(attribute))
+
+
+def is_animated(prim: Any) -> bool:
+    """Whether samples change a prim's shape, its place or what moves its bones."""
+    from pxr import UsdGeom, UsdSkel
+
+    kinds = (UsdGeom.Boundable, UsdGeom.Xform, UsdSkel.Animation)
+    return any(map(prim.IsA, kinds)) and any(one.ValueMightBeTimeVarying() for one in prim.GetAuthoredAttributes())

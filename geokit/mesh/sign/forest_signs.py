@@ -65,7 +65,7 @@ class ForestSigns:
         if forest is not None:
             self._find_simple()
         others = np.flatnonzero(~self.simple)
-        # Meshes with faces that are left out where signs are decided; see left_out.py and inner_sheets.py.
+        # Meshes with faces that are left out where signs are decided; see left_out.py.
         self.apart = np.zeros(count, bool)
         for mesh in others:
             found = surface(int(mesh))

@@ -310,7 +310,7 @@ class SignQueries(PointQueries):
     @cached_property
     def _sign_choice(self) -> Any:
         """Of queries, which tell the sides of sheets too."""
-        from geokit.mesh.sign.open_sheets import choose_side
+        from geokit.mesh.sign.choice import choose_side
 
         return choose_side(self) if self._signs is self else self._with_left_out(self._signs._sign_choice)
 
@@ -355,7 +355,7 @@ class SignQueries(PointQueries):
     @cached_property
     def _without_sheets(self) -> Any:
         """The surface of the mesh without open sheets inside of closed bodies; None if there are none."""
-        from geokit.mesh.sign.inner_sheets import inner_sheets
+        from geokit.mesh.sign.left_out import inner_sheets
 
         rows = inner_sheets(self)  # type: ignore[arg-type]
         if not len(rows):
@@ -375,7 +375,7 @@ class SignQueries(PointQueries):
     @cached_property
     def _outward(self) -> NDArray[np.int32]:
         """1 for faces whose winding shows outward as signs do, -1 for inward, 0 for those without area, (F,)."""
-        from geokit.mesh.sign.inner_sheets import INNER_POINT
+        from geokit.mesh.sign.left_out import INNER_POINT
         from geokit.mesh.topology.measures import faces_without_area
         from geokit.mesh.topology.normals import face_normals
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.mesh.sign.inner_sheets import CONTACT
+from geokit.mesh.sign.left_out import CONTACT
 from geokit.mesh.solids.judging import areas_of
 from geokit.mesh.solids.pieces import Pieces, inflated
 

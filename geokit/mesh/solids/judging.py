@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.mesh.model.triangle_mesh import TriangleMesh
-from geokit.mesh.sign.inner_sheets import CONTACT, INNER_POINT
+from geokit.mesh.sign.left_out import CONTACT, INNER_POINT
 from geokit.mesh.solids.pieces import Pieces
 from geokit.mesh.topology.normals import cross
 

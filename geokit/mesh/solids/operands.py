@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from geokit.errors import InputError
 from geokit.mesh.attributes.derived import derived, used_vertices
 from geokit.mesh.model.triangle_mesh import TriangleMesh
-from geokit.mesh.sign.inner_sheets import collapsed
-from geokit.mesh.sign.left_out import left_out_faces
+from geokit.mesh.sign.left_out import collapsed, left_out_faces
 from geokit.mesh.solids.boundary import boundary_of
 from geokit.mesh.solids.contact import within_contact
 from geokit.mesh.solids.judging import verdict_of

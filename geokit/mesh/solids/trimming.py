@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from geokit.core.memory.needs import require_free
 from geokit.mesh.attributes.derived import derived, with_data
 from geokit.mesh.model.triangle_mesh import TriangleMesh
-from geokit.mesh.sign.inner_sheets import CONTACT, INNER_POINT
+from geokit.mesh.sign.left_out import CONTACT, INNER_POINT
 from geokit.mesh.topology.connectivity import position_corners
 from geokit.mesh.topology.normals import cross, unit
 

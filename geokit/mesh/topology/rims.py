@@ -1,4 +1,4 @@
-"""Rims: the edges of a mesh that only one face has, one after the other around each hole."""
+"""Rims: edges of a mesh that only one face has, one after another around each hole; triangles between their points."""
 
 from __future__ import annotations
 
@@ -10,7 +10,18 @@ from numpy.typing import NDArray
 
 from geokit.mesh.topology.connectivity import Topology, next_half_edge
 
-__all__ = ["Rims", "edges_within", "find_rims"]
+__all__ = ["Rims", "edges_within", "find_rims", "patches"]
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
+# Rims with more sides lose ears first: the time for the least area goes with the third power of the sides.
+MOST_SIDES = 256
+# What an edge adds to the area, in shares of its square: of flat patches, all of one area, one has no slivers.
+EDGE_SHARE = 1e-3
+# An ear does not fold back onto what lies beside it: the cosine between their normals is above this.
+FOLDED = -0.5
+# Numbers in a table of the rims that are filled at once.
+BLOCK = 1 << 20
 
 
 class Rims(NamedTuple):
@@ -104,3 +115,149 @@ def _walks(follower: list[int], heads: list[int], position: list[int]) -> list[t
         if walk:
             rims.append((walk, row == head))
     return rims
+
+
+def patches(
+    rims: Rims, points: Floats, wanted: NDArray[np.bool_], refused: Indices, barred: Indices, beside: Floats
+) -> tuple[Indices, Indices]:
+    """Triangles that fill rims, wound against them.
+
+    Args:
+        rims: The rims.
+        points: Where each half-edge of them starts, in units in which the rim is about 1 wide (R, 3).
+        wanted: The rims to fill, loops of three sides or more (H,).
+        refused: Triangles that may not be made (M, 3), as they were returned.
+        barred: Pairs of points of a rim that may not be joined (K, 2): :func:`geokit.mesh.topology.rims.edges_within`.
+        beside: Unit normals of the faces at the half-edges (R, 3).
+    Returns:
+        Corners of the triangles as rows of ``points`` (T, 3), and the rim of each (T,); none for rims that cannot be
+        filled.
+    """
+    begin, left = rims.begin, np.diff(rims.begin)
+    rim = np.repeat(np.arange(len(left)), left)
+    local = points - points[begin[rim]]
+    # The place of each point among those that are left of its rim; -1 for those that ears have cut off.
+    slot = np.arange(len(rim)) - begin[rim]
+    ears = [np.zeros((0, 3), np.int64)]
+    for long in np.flatnonzero(wanted & (left > MOST_SIDES)):
+        rows = slice(begin[long], begin[long + 1])
+        pairs = barred[slice(*np.searchsorted(barred[:, 0], [rows.start, rows.stop]))] - rows.start
+        cut, kept = _cut_ears(local[rows], pairs, refused[rim[refused[:, 0]] == long] - rows.start, beside[rows])
+        slot[rows] = -1
+        slot[rows.start + kept] = np.arange(len(kept))
+        left[long] = len(kept)
+        ears.append(rows.start + cut)
+    row = np.flatnonzero((slot >= 0) & (wanted & (left <= MOST_SIDES))[rim])
+    row = row[np.argsort(left[rim[row]], kind="stable")]
+    made = []
+    for sides, count in zip(*np.unique(left[rim[row]], return_counts=True), strict=True):
+        group, row = row[:count].reshape(-1, sides), row[count:]
+        for first in range(0, len(group), max(1, BLOCK // sides**2)):
+            table = group[first : first + max(1, BLOCK // sides**2)]
+            number = rim[table[:, 0]]
+            not_these = (_within(number, rim, slot, of) for of in (barred, refused))
+            triangles, possible = _least_area(local[table], *not_these)
+            made.append(np.take_along_axis(table, triangles.reshape(len(table), -1), 1)[possible].reshape(-1, 3))
+    found = np.concatenate([np.zeros((0, 3), np.int64), *made])
+    cut = np.concatenate(ears)
+    found = np.concatenate([found, cut[np.isin(rim[cut[:, 0]], rim[found[:, 0]])]])
+    return found, rim[found[:, 0]]
+
+
+def _within(number: Indices, rim: Indices, slot: Indices, points: Indices) -> Indices:
+    """Of rows of points, those of the given rims: the rim's place among them, and the places of the points in it."""
+    place = np.searchsorted(number, rim[points[:, 0]])
+    here = (number[np.minimum(place, len(number) - 1)] == rim[points[:, 0]]) & (slot[points] >= 0).all(axis=1)
+    return np.concatenate([place[here, None], slot[points[here]]], axis=1)
+
+
+def _least_area(points: Floats, barred: Indices, refused: Indices) -> tuple[Indices, NDArray[np.bool_]]:
+    """The triangles over rims of equally many sides whose area is least.
+
+    Args:
+        points: Corners of the rims, in order (B, N, 3), about 1 in size.
+        barred: Rims and pairs of their corners that may not be joined (K, 3), in both orders.
+        refused: Rims and triangles that may not be made (M, 4).
+    Returns:
+        Corners of the triangles (B, N - 2, 3), wound against the rims, and whether there are any for each rim (B,).
+    Source:
+        Barequet and Sharir, Filling gaps in the boundary of a polyhedron (1995). Differs: edges have a small cost too.
+    """
+    count, sides, _ = points.shape
+    # The least cost of the part of a rim from a corner to the one so many sides further on, or so many before.
+    after, before = (np.full((count, sides, sides), np.inf) for _ in range(2))
+    after[:, :-1, 1] = before[:, 1:, 1] = 0.0
+    best = np.zeros((count, sides, sides), np.int16)
+    is_barred = np.zeros((count, sides, sides), bool)
+    is_barred[tuple(barred.T)] = True
+    low, middle, high = np.sort(refused[:, 1:], axis=1).T
+    for span in range(2, sides):
+        first = np.arange(sides - span)
+        along = points[:, first + span] - points[:, first]
+        spoke = points[:, first[:, None] + np.arange(1, span)] - points[:, first, None]
+        area = 0.5 * np.linalg.norm(np.cross(spoke, along[:, :, None]), axis=-1)
+        area += after[:, : sides - span, 1:span]
+        area += before[:, span:, span - 1 : 0 : -1]
+        now = high - low == span
+        area[refused[now, 0], low[now], middle[now] - low[now] - 1] = np.inf
+        apex = area.argmin(-1)
+        best[:, : sides - span, span] = apex + 1
+        cost = np.take_along_axis(area, apex[..., None], -1)[..., 0] + EDGE_SHARE * (along**2).sum(-1)
+        if span < sides - 1:
+            cost[is_barred[:, first, first + span]] = np.inf
+        after[:, : sides - span, span] = before[:, span:, span] = cost
+    part = np.stack([np.arange(count), np.zeros(count, np.int64), np.full(count, sides - 1)], axis=1)
+    made = []
+    while len(part):
+        rim, first, span = part.T
+        apex = best[rim, first, span].astype(np.int64)
+        made.append(np.stack([rim, first + apex, first, first + span], axis=1))
+        part = np.concatenate([np.stack([rim, first, apex], 1), np.stack([rim, first + apex, span - apex], 1)])
+        part = part[part[:, 2] > 1]
+    rows = np.concatenate(made)
+    triangles = rows[np.argsort(rows[:, 0], kind="stable"), 1:].reshape(count, sides - 2, 3)
+    return triangles, np.isfinite(after[:, 0, sides - 1])
+
+
+def _cut_ears(points: Floats, barred: Indices, refused: Indices, beside: Floats) -> tuple[Indices, Indices]:
+    """Triangles over two neighboring sides of one rim each, until few sides are left.
+
+    In each round those are cut off whose new edge is shorter than that of their neighbors.
+
+    Args:
+        points: Corners of the rim, in order (N, 3), about 1 in size.
+        barred: Pairs of corners that may not be joined (K, 2), in both orders.
+        refused: Triangles that may not be made (M, 3).
+        beside: Unit normals of the faces along the sides, side i from corner i to the next (N, 3).
+    Returns:
+        Corners of the triangles (T, 3), wound against the rim, and the corners that are left in order; more than
+        ``MOST_SIDES`` where no more ears can be cut.
+    """
+    left = np.arange(len(points))
+    made = [np.zeros((0, 3), np.int64)]
+    # Twice the area that the rim encloses, as a vector: patches face its other side.
+    facing = -np.cross(points, np.roll(points, -1, axis=0)).sum(axis=0)
+    codes = [np.array([len(points), 1]), len(points) ** np.arange(2, -1, -1)]
+    barred, refused = barred @ codes[0], refused @ codes[1]
+    while len(left) > MOST_SIDES:
+        one, other = np.roll(left, 1), np.roll(left, -1)
+        normal = np.cross(points[one] - points[left], points[other] - points[left])
+        size = np.linalg.norm(normal, axis=1)
+        normal /= np.where(size > 0.0, size, 1.0)[:, None]
+        length = np.linalg.norm(points[other] - points[one], axis=1)
+        folds = ((normal * beside).sum(1) <= FOLDED) | ((normal * np.roll(beside, 1, axis=0)).sum(1) <= FOLDED)
+        ears = np.stack([left, one, other], axis=1)
+        folds |= np.isin(ears[:, 1:] @ codes[0], barred) | np.isin(ears @ codes[1], refused)
+        length[folds | (size == 0.0) | (normal @ facing <= 0.0)] = np.inf
+        # Of equal ones the lowest, so that there always is one.
+        order = np.empty(len(left), np.int64)
+        order[np.argsort(length, kind="stable")] = np.arange(len(left))
+        ear = np.isfinite(length) & (order < np.roll(order, 1)) & (order < np.roll(order, -1))
+        ear &= np.cumsum(ear) <= len(left) - MOST_SIDES
+        if not ear.any():
+            break
+        made.append(ears[ear])
+        # The new side takes the place of that before the ear.
+        beside = np.where(np.roll(ear, -1)[:, None], np.roll(normal, -1, axis=0), beside)[~ear]
+        left = left[~ear]
+    return np.concatenate(made), left

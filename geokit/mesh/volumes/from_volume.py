@@ -143,7 +143,7 @@ def from_volume(
     is_mirrored = bool(np.linalg.slogdet(transform[:3, :3])[0] < 0.0)
     turned = is_mirrored != _encloses_large_values(volume, isovalue)
     if method == "marching_cubes":
-        from geokit.volume.isosurface.marching_cubes import marching_cubes
+        from geokit.volume.isosurface.surface_nets import marching_cubes
 
         arrays = marching_cubes(volume, isovalue, target, turned=turned)
     else:

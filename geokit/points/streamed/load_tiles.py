@@ -18,8 +18,7 @@ from geokit.core.require import require_flag, require_path
 from geokit.formats.blocks.points import PointFile, open_points
 from geokit.formats.blocks.records import AT_A_TIME, BYTES_AT_A_TIME, work_folder
 from geokit.points.streamed.columns import Around, longest_reach, smaller
-from geokit.points.streamed.records import known_of
-from geokit.points.streamed.tiles import MOST_POINTS, OWN_SHARE, ROW, Tiles
+from geokit.points.streamed.tiles import MOST_POINTS, OWN_SHARE, ROW, Tiles, known_of
 
 __all__ = ["PointTile", "load_tiles"]
 

@@ -1,10 +1,11 @@
-"""Tiles: boxes of points in files, and the points around a box, read from the files of several."""
+"""Tiles: boxes of points in files, with arrays, as records; points around a box, read from the files of several."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,10 @@ from numpy.typing import NDArray
 
 from geokit.formats.blocks.boxes import Boxes
 from geokit.formats.blocks.points import Block
-from geokit.formats.blocks.records import Buckets, Known, RecordFile, append
-from geokit.points.streamed.records import sample_of
+from geokit.formats.blocks.records import Buckets, Known, RecordFile, append, survey
+from geokit.formats.columns import Columns
 
-__all__ = ["MOST_POINTS", "OWN_SHARE", "ROW", "Tiles"]
+__all__ = ["MOST_POINTS", "OWN_SHARE", "ROW", "Tiles", "blocks_of", "known_of", "records_of", "sample_of", "type_of"]
 
 # A point in a tile: its row among all points.
 ROW = np.dtype([("row", np.int64), ("points", np.float64, (3,))])
@@ -29,6 +30,8 @@ OWN_SHARE = 0.5
 BIN_POINTS, MOST_BINS, BIN_SAMPLE = 512, 1 << 18, 1 << 13
 # Tiles that are made at once.
 MOST_PARTS = 1024
+# Points that stand for all where these are divided: 64 for each of 2000 parts, whose sizes then scatter by an eighth.
+SAMPLE_SIZE = 1 << 17
 
 
 @dataclass(frozen=True)
@@ -172,3 +175,36 @@ def _gaps(point: NDArray[np.float64], lower: NDArray[np.float64], upper: NDArray
     """Squared distances of boxes from a point, a few roundings short of those of the points in them."""
     aside = np.maximum(np.maximum(lower - point, point - upper), 0.0)
     return (aside * aside).sum(axis=1) * (1.0 - 1e-14)
+
+
+def known_of(blocks: Iterable[Block], declared: int) -> Known:
+    """Look at all points, of which there are about as many as declared."""
+    return survey(blocks, max(1, declared // SAMPLE_SIZE))
+
+
+def type_of(data: Columns) -> np.dtype[Any]:
+    """The type of records with a position, ``points``, and arrays."""
+    # A name of an array may be anything.
+    arrays = [(f"data {name}", values.dtype, values.shape[1:]) for name, values in data.items()]
+    return np.dtype([("points", np.float64, (3,)), *arrays])
+
+
+def records_of(points: NDArray[np.float64], data: Columns) -> NDArray[Any]:
+    """Points with arrays as records."""
+    records = np.empty(len(points), type_of(data))
+    records["points"] = points
+    for name, values in data.items():
+        records[f"data {name}"] = values
+    return records
+
+
+def sample_of(file: RecordFile, most: int) -> NDArray[np.float64]:
+    """Positions of some records, evenly spaced."""
+    return survey(((part["points"], {}) for part in file.parts()), max(1, file.count // most)).sample
+
+
+def blocks_of(file: RecordFile) -> Iterator[Block]:
+    """The points and their arrays; the first block has none."""
+    names = [name for name in file.dtype.names or () if name.startswith("data ")]
+    for part in chain([np.empty(0, file.dtype)], file.parts()):
+        yield part["points"], {name[len("data ") :]: part[name] for name in names}

@@ -12,9 +12,13 @@ from geokit.core import launcher
 from geokit.core.base.snapshot import snapshot
 from geokit.core.interop import user_arrays
 from geokit.core.interop.types import MeshLike
+from geokit.core.memory.pinned import host_flags
 from geokit.core.require import described, require_choice
 from geokit.errors import InputError, MissingDependencyError
+from geokit.mesh.model.triangle_mesh import TriangleMesh
+from geokit.mesh.queries.points import ClosestPoints
 from geokit.mesh.sign.queries import SIGN_METHODS
+from geokit.mesh.surfaces.surface import Surface
 from geokit.volume.band.band import BandShape
 from geokit.volume.band.tiles import Lattice
 from geokit.volume.model.sparse_volume import SparseVolume, made_on_device
@@ -23,12 +27,13 @@ from geokit.volume.nanovdb.provenance import INTERIOR, content_hash, provenance,
 from geokit.volume.tree.grid_head import checked_head
 
 if TYPE_CHECKING:
-    from geokit.mesh.model.triangle_mesh import TriangleMesh
-    from geokit.mesh.surfaces.surface import Surface
+    import warp as wp
+
     from geokit.volume.band.band import Band
     from geokit.volume.tree.device_writer import BuiltGrid
 
 __all__ = [
+    "TrimmedSurface",
     "band_metadata",
     "grid_head",
     "half_widths",
@@ -122,7 +127,7 @@ def _without_interior(surface: Surface) -> tuple[Surface | None, str]:
 def _trimmed(surface: Surface, kept: str, length: float) -> tuple[Surface, str]:
     """A surface without what lies inside of the solid, and why some stays, "" if none; the same where it is open."""
     from geokit.mesh.solids.trimming import trimmed
-    from geokit.volume.band.trimmed_surface import TrimmedSurface
+    from geokit.volume.band.fields import TrimmedSurface
 
     found = trimmed(surface, length)
     if found is None:
@@ -211,6 +216,8 @@ def volume_from_built(grid: BuiltGrid, metadata: dict[str, Any]) -> SparseVolume
 
 
 SIGNS = (*SIGN_METHODS, "none")
+
+
 # What happens to surface that has the solid on both sides.
 INTERIORS = ("remove", "keep")
 
@@ -246,3 +253,36 @@ def hash_of(mesh: TriangleMesh) -> str:
         return hash_of(origin.mesh)
     # Hashing takes as long as building a small band, so each mesh is hashed once.
     return mesh._cache.find("content hash", lambda: content_hash(mesh.vertices, mesh.faces))
+
+
+class TrimmedSurface(Surface):
+    """A surface without faces that have the same on both sides; what is inside is said by the winding numbers of all.
+
+    Args:
+        mesh: The faces that are left, or their pieces; where some are missing there may be holes.
+        given: The surface of all faces.
+    """
+
+    _is_trimmed = True
+
+    def __init__(self, mesh: TriangleMesh, given: Surface) -> None:
+        super().__init__(mesh, device=given._device)
+        self.__dict__.update(_single_faced=given._signs, _solid_choice=given._solid_choice)
+
+    def contains(self, points: Any, *, sign: str = "auto", **options: Any) -> Any:
+        """Whether points lie inside: also those on faces that were left out, where :class:`Surface` says no."""
+        import warp as wp
+
+        winding = self._signs.winding_number(points, **options)
+        if isinstance(winding, wp.array):
+            return wp.array(winding.numpy() > 0.5, dtype=wp.bool, device=winding.device)
+        return winding > 0.5
+
+    def _sign(self, method: str, points: "wp.array", closest: ClosestPoints, reach: float) -> None:
+        import warp as wp
+
+        from geokit.mesh.sign.parity_kernels import take_sign_kernel
+
+        winding = self._signs._winding(points, host_flags(1, self._device)).numpy()
+        side = wp.array(np.where(winding > 0.5, -1.0, 1.0), dtype=wp.float64, device=self._device)
+        launcher.launch(take_sign_kernel, len(points), [side], [closest.distance], self._device)

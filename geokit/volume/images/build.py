@@ -19,8 +19,7 @@ from geokit.errors import FileFormatError, InputError
 from geokit.formats.images.image import Image, affine
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.grid_info import GridInfo
-from geokit.volume.nanovdb.header import info_of, voxel_size_of
-from geokit.volume.nanovdb.header_options import checked_transform
+from geokit.volume.nanovdb.header import checked_transform, info_of, voxel_size_of
 from geokit.volume.nanovdb.layout import GridLayout
 from geokit.volume.nanovdb.provenance import SPACE, UNIT
 from geokit.volume.nanovdb.types import GRID_CLASSES, WHOLE_TYPES, WHOLE_VECTOR_TYPES

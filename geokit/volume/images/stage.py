@@ -24,8 +24,16 @@ from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.checks import mark_checked
 from geokit.volume.nanovdb.checksum import partial_checksum
 from geokit.volume.nanovdb.grid_info import GridInfo
-from geokit.volume.nanovdb.header import GRID_DATA, HEAD_SIZE, TREE_OFFSET, aligned_buffer, grid_header, voxel_size_of
-from geokit.volume.nanovdb.header_options import checked_transform, write_transform
+from geokit.volume.nanovdb.header import (
+    GRID_DATA,
+    HEAD_SIZE,
+    TREE_OFFSET,
+    aligned_buffer,
+    checked_transform,
+    grid_header,
+    voxel_size_of,
+    write_transform,
+)
 from geokit.volume.nanovdb.provenance import METERS_PER_UNIT, UNIT, world_metadata
 from geokit.volume.tree.grid_head import root_spans
 from geokit.volume.tree.statistics import NO_BOX

@@ -19,15 +19,16 @@ from geokit.volume.nanovdb.file import FILE_HEADER, FILE_METADATA
 from geokit.volume.nanovdb.header import (
     FLAG_LONG_NAME,
     HEAD_SIZE,
+    LONGEST_NAME,
     MAGIC_FILE,
     MAGIC_GRID,
     MAGIC_OLD,
     TREE_OFFSET,
+    VERSION,
     encoded_name,
     grid_header,
     tree_header,
 )
-from geokit.volume.nanovdb.header_options import LONGEST_NAME, VERSION
 from geokit.volume.nanovdb.metadata import body_with_metadata
 
 if TYPE_CHECKING:

@@ -18,12 +18,12 @@ from geokit.volume.nanovdb.header import (
     BLIND_DATA,
     FLAG_BREADTH_FIRST,
     FLAG_HAS_BBOX,
+    LONGEST_NAME,
     decoded_name,
     encoded_name,
     grid_header,
     info_of,
 )
-from geokit.volume.nanovdb.header_options import LONGEST_NAME
 from geokit.volume.nanovdb.index_checks import leaf_offsets, value_count_of
 from geokit.volume.nanovdb.layout import GRID_TYPES, INDEX_LAYOUTS, LAYOUTS, LEAF_VOXELS, type_name
 from geokit.volume.nanovdb.nodes import NodeLevel, bits_of, grid_nodes

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.formats.blocks.records import Buckets, RecordFile
-from geokit.volume.streamed.crossings import extent
-from geokit.volume.streamed.windings import Coordinates, CornerWindings, in_parts
+from geokit.volume.streamed.windings import Coordinates, CornerWindings, extent, in_parts
 
 __all__ = ["Cell", "CellLattice", "smaller", "split"]
 

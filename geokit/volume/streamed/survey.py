@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from geokit.volume.streamed.crossings import extent
+from geokit.volume.streamed.windings import extent
 
 __all__ = ["Survey", "survey"]
 

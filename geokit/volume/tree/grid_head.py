@@ -17,19 +17,17 @@ from geokit.volume.nanovdb.header import (
     FLAG_LONG_NAME,
     GRID_DATA,
     HEAD_SIZE,
+    LONGEST_NAME,
     TREE_OFFSET,
+    GridOptions,
     aligned_buffer,
+    checked_options,
     encoded_name,
     grid_class_code,
     grid_header,
     grid_name,
     info_of,
     tree_header,
-)
-from geokit.volume.nanovdb.header_options import (
-    LONGEST_NAME,
-    GridOptions,
-    checked_options,
     write_header,
     write_transform,
 )

@@ -29,8 +29,8 @@ from geokit.volume.nanovdb.header import (
     aligned_buffer,
     grid_header,
     info_of,
+    write_header,
 )
-from geokit.volume.nanovdb.header_options import write_header
 from geokit.volume.nanovdb.layout import ALIGNMENT, GRID_TYPES, LAYOUTS
 from geokit.volume.nanovdb.nodes import NodeLevel, grid_nodes, root_origins, set_bits, slot_of, slot_places
 from geokit.volume.tree.grid_head import GridHead, head_like, root_keys_of, root_spans

@@ -11,8 +11,7 @@ import pytest
 import warp as wp
 
 from benchmarks.catalog import mesh_catalog
-from geokit.accuracy.charts import first_hit, mesh_setup
-from geokit.accuracy.charts import sign as chart_sign
+from geokit.accuracy.charts import closest_point, first_hit, mesh_setup
 from geokit.accuracy.charts.makers import mesh_charts
 from geokit.accuracy.charts.mesh_setup import MeshSetup
 from geokit.accuracy.reference import mesh as reference
@@ -133,7 +132,7 @@ def test_signs_of_an_open_mesh_leave_out_what_may_be_either(monkeypatch):
     trial = next(iter(charts_of(mesh)["sign"].trials()))
     judgement = judged(trial)
     winding = reference.winding_number(mesh.vertices, mesh.faces, judgement.positions)
-    assert np.abs(winding - 0.5).min() > chart_sign.AMBIGUOUS
+    assert np.abs(winding - 0.5).min() > closest_point.AMBIGUOUS
     assert not judgement.wrong.any()
 
 
@@ -141,9 +140,9 @@ def test_signs_of_an_open_mesh_leave_out_what_may_be_either(monkeypatch):
 def test_damage_shows_who_fails(monkeypatch):
     monkeypatch.setattr(mesh_setup, "COUNTS", {"cpu": (COUNT, 4 * COUNT)})
     charts = charts_of(mesh_catalog.torus(), quick=False)
-    trials = {name: list(charts[f"sign_{name}"].trials()) for name in chart_sign.DAMAGES}
+    trials = {name: list(charts[f"sign_{name}"].trials()) for name in closest_point.DAMAGES}
     for some in trials.values():
-        assert [t.parameters for t in some] == [{"sign": sign} for sign in chart_sign.METHODS]
+        assert [t.parameters for t in some] == [{"sign": sign} for sign in closest_point.METHODS]
     shares = {(t.parameters["sign"], name): judged(t).wrong.mean() for name, some in trials.items() for t in some}
     # Rays that leave through the hole, or pass two faces for one, count wrong; winding numbers hardly notice.
     assert shares["parity", "hole"] > 0.0
@@ -156,14 +155,14 @@ def test_damage_shows_who_fails(monkeypatch):
 def test_damage_is_what_it_says():
     torus = mesh_catalog.torus()
     area = np.linalg.norm(np.cross(*_edges(torus)), axis=1).sum()
-    holed = chart_sign.damaged(torus, "hole")
+    holed = closest_point.damaged(torus, "hole")
     left = np.linalg.norm(np.cross(*_edges(holed)), axis=1).sum()
     assert 0.03 <= 1.0 - left / area < 0.035
-    flipped = chart_sign.damaged(torus, "flips").faces
+    flipped = closest_point.damaged(torus, "flips").faces
     turned = (flipped != torus.faces).any(axis=1)
     assert turned.sum() == math.ceil(0.1 * len(torus.faces))
     np.testing.assert_array_equal(np.sort(flipped, axis=1), np.sort(torus.faces, axis=1))
-    doubled = chart_sign.damaged(torus, "doubles").faces
+    doubled = closest_point.damaged(torus, "doubles").faces
     np.testing.assert_array_equal(doubled[: len(torus.faces)], torus.faces)
     assert len(doubled) == math.ceil(1.1 * len(torus.faces))
     assert len(np.unique(doubled, axis=0)) == len(torus.faces)

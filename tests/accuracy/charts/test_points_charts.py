@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 import warp as wp
 
-from geokit.accuracy.charts import downsample, point_normals, points_setup
+from geokit.accuracy.charts import points as charts
 from geokit.accuracy.charts.makers import points_charts
-from geokit.accuracy.charts.point_normals import MAJOR, MINOR, torus_cloud
-from geokit.accuracy.charts.points_setup import PointsSetup
+from geokit.accuracy.charts.points import MAJOR, MINOR, PointsSetup, torus_cloud
 from geokit.accuracy.reference import mesh as reference
 from geokit.accuracy.trials.model import Chart, Subject, Trial
 from geokit.errors import InputError
@@ -24,8 +23,8 @@ COUNT = 400
 
 @pytest.fixture(autouse=True)
 def few_queries(monkeypatch):
-    monkeypatch.setattr(points_setup, "COUNTS", {"cpu": (COUNT, 2 * COUNT), "cuda": (COUNT, 2 * COUNT)})
-    monkeypatch.setattr(point_normals, "COUNTS", (1500, 3000))
+    monkeypatch.setattr(charts, "COUNTS", {"cpu": (COUNT, 2 * COUNT), "cuda": (COUNT, 2 * COUNT)})
+    monkeypatch.setattr(charts, "TORUS_COUNTS", (1500, 3000))
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +98,7 @@ def test_normals_against_planes(cloud):
         judgement = judged(trial)
         assert not judgement.wrong.any()
         # (k + 128) roundings, over a gap of a thousandth and more.
-        assert judgement.errors.max() <= np.degrees((64 + 128) * 2.0**-53 / point_normals.GAP)
+        assert judgement.errors.max() <= np.degrees((64 + 128) * 2.0**-53 / charts.GAP)
         assert trial.count == len(cloud)
 
 
@@ -115,7 +114,7 @@ def test_points_without_a_plane_have_no_normals_to_judge():
 
 
 def test_normals_of_the_torus():
-    with mock.patch.object(point_normals, "COUNTS", (6000, 6000)):
+    with mock.patch.object(charts, "TORUS_COUNTS", (6000, 6000)):
         trials = list(charts_of(torus_cloud(100)[0])["torus_normals"].trials())
         found = {(t.parameters["k"], t.parameters["orientation"]): judged(t) for t in trials}
     assert set(found) == {(k, orientation) for k in (8, 32) for orientation in ("none", "propagation")}
@@ -141,7 +140,7 @@ def test_the_torus_is_one():
 
 
 def test_downsampled_clouds(cloud, monkeypatch):
-    monkeypatch.setattr(points_setup, "MOST", 200)
+    monkeypatch.setattr(charts, "MOST", 200)
     trials = list(charts_of(cloud, quick=False)["downsample"].trials())
     assert len(trials) == 9
     for trial in trials:
@@ -160,8 +159,8 @@ def test_downsampled_clouds(cloud, monkeypatch):
 
 
 def test_of_large_clouds_a_part_is_thinned(cloud, monkeypatch):
-    monkeypatch.setattr(points_setup, "LARGEST", {"cpu": (500, 700)})
-    monkeypatch.setattr(downsample, "QUICK_STEPS", (2.0,))
+    monkeypatch.setattr(charts, "LARGEST", {"cpu": (500, 700)})
+    monkeypatch.setattr(charts, "QUICK_STEPS", (2.0,))
     for trial in charts_of(cloud)["downsample"].trials():
         assert trial.count == 500
         judged(trial)
@@ -255,7 +254,7 @@ def test_two_runs_ask_the_same(cloud):
 
 def test_large_clouds_are_checked_less():
     setup = PointsSetup(np.zeros((10, 3)), "cpu", True)
-    assert len(setup.choose(10**6, 10)) == points_setup.MOST
+    assert len(setup.choose(10**6, 10)) == charts.MOST
     assert len(setup.choose(10**6, 10**5)) == 100
-    assert len(setup.choose(10**6, 10**9)) == points_setup.LEAST
+    assert len(setup.choose(10**6, 10**9)) == charts.LEAST
     assert len(setup.choose(5, 10)) == 5

@@ -8,12 +8,11 @@ import pytest
 from benchmarks.catalog.sphere_volumes import ROTATED, sphere
 from benchmarks.catalog.typed_grids import TypedGrid
 from geokit.accuracy.charts import sampling
-from geokit.accuracy.charts.gradients import REACH
 from geokit.accuracy.charts.makers import mesh_volume_charts, volume_charts
 from geokit.accuracy.charts.mesh_setup import area_samples
-from geokit.accuracy.charts.volume_points import VolumePoints
+from geokit.accuracy.charts.sampling import REACH
 from geokit.accuracy.charts.volume_raycast import _judge, _Rays, _reference
-from geokit.accuracy.charts.volume_setup import Effort, NearSurface, known_codecs, surface_samples
+from geokit.accuracy.charts.volume_setup import Effort, NearSurface, VolumePoints, known_codecs, surface_samples
 from geokit.accuracy.reference.volume import (
     Voxels,
     axis_weights,

@@ -15,7 +15,7 @@ from geokit import mesh
 from geokit.accuracy.reference import mesh as reference
 from geokit.accuracy.stability import shapes
 from geokit.accuracy.stability.follow_sweeps import inside, promised, sweeps_of
-from geokit.accuracy.stability.mesh_questions import around_and_near, judged, powers, turned
+from geokit.accuracy.stability.shapes import around_and_near, judged, powers, turned
 from geokit.mesh.surfaces.surface import Surface
 from tests.support.reference import box_distance
 

@@ -8,8 +8,7 @@ from importlib import import_module
 import numpy as np
 import pytest
 
-from geokit.accuracy.stability import points_search as search
-from geokit.accuracy.stability import points_shape as shape
+from geokit.accuracy.stability import points_sweeps as points
 from geokit.accuracy.stability.follow_sweeps import sweeps_of
 from geokit.errors import InputError
 from geokit.points import NeighborGrid
@@ -17,10 +16,10 @@ from geokit.points import NeighborGrid
 SWEEPS = {sweep.name: sweep for sweep in sweeps_of("points", "cpu")}
 NO_FAILURE = "no failure found"
 SEARCHES = [
-    lambda: search.radii(2.0, device="cpu"),
-    lambda: search.crowds(0.5, device="cpu"),
-    lambda: search.extents(4.0, device="cpu"),
-    lambda: search.duplicates(10.0, device="cpu"),
+    lambda: points.radii(2.0, device="cpu"),
+    lambda: points.crowds(0.5, device="cpu"),
+    lambda: points.extents(4.0, device="cpu"),
+    lambda: points.duplicates(10.0, device="cpu"),
 ]
 SEARCH_NAMES = ["radii", "crowds", "extents", "duplicates"]
 
@@ -87,7 +86,7 @@ class TestNotices:
             return found._replace(distance=found.distance.astype(np.float32))
 
         monkeypatch.setattr(NeighborGrid, "radius_search", worse)
-        judgement = search.radii(2.0, device="cpu")
+        judgement = points.radii(2.0, device="cpu")
         assert not judgement.wrong.any()
         assert judgement.errors.max() > 1e-9
 
@@ -99,13 +98,13 @@ class TestNotices:
             return found._replace(indices=found.indices[:, ::-1], distance=found.distance * (1.0 + 1e-12))
 
         monkeypatch.setattr(NeighborGrid, "knn", worse)
-        judgement = search.nearest(8.0, device="cpu")
+        judgement = points.nearest(8.0, device="cpu")
         assert judgement.wrong.all()
         assert judgement.errors.max() == pytest.approx(1e-12, rel=1e-2)
 
     def test_more_neighbors_than_there_may_be_are_refused(self):
         with pytest.raises(InputError, match="from 1 to 1024"):
-            search.nearest(1025.0, device="cpu")
+            points.nearest(1025.0, device="cpu")
 
     def test_normals_that_are_tilted_or_missing(self, monkeypatch):
         module = import_module("geokit.points._normals")
@@ -119,28 +118,28 @@ class TestNotices:
             return found._replace(normals=normals)
 
         monkeypatch.setattr(module, "normals", worse)
-        judgement = shape.noisy_planes(1e-4, device="cpu")
+        judgement = points.noisy_planes(1e-4, device="cpu")
         np.testing.assert_allclose(judgement.errors[7:], 5.0, atol=0.01)
         assert judgement.wrong[:7].all()
         assert not judgement.wrong[7:].any()
-        assert shape.wide_planes(0.8, device="cpu").wrong.sum() == 7
+        assert points.wide_planes(0.8, device="cpu").wrong.sum() == 7
 
     def test_signs_of_normals_do_not_count(self, monkeypatch):
         module = import_module("geokit.points._normals")
         exact = module.normals
-        before = shape.noisy_planes(0.1, device="cpu").errors
+        before = points.noisy_planes(0.1, device="cpu").errors
         monkeypatch.setattr(module, "normals", lambda *a, **b: exact(*a, **b)._replace(normals=-exact(*a, **b).normals))
-        np.testing.assert_array_equal(shape.noisy_planes(0.1, device="cpu").errors, before)
+        np.testing.assert_array_equal(points.noisy_planes(0.1, device="cpu").errors, before)
 
     @pytest.mark.parametrize("method", ["point_to_plane", "point_to_point"])
     def test_clouds_that_stay_where_they_are(self, monkeypatch, method):
-        right = shape.turned_ellipsoids(1.0, method=method, device="cpu")
+        right = points.turned_ellipsoids(1.0, method=method, device="cpu")
         assert not right.wrong.any()
         assert right.errors.max() < 1e-12
         module = import_module("geokit.points._register")
         exact = module.register
         monkeypatch.setattr(module, "register", lambda *a, **b: exact(*a, **b)._replace(transform=np.eye(4)))
-        judgement = shape.turned_ellipsoids(1.0, method=method, device="cpu")
+        judgement = points.turned_ellipsoids(1.0, method=method, device="cpu")
         assert judgement.wrong.all()
         assert (judgement.errors > 1e-3).all()
 
@@ -148,13 +147,15 @@ class TestNotices:
         module = import_module("geokit.points._density")
         exact = module.density
         monkeypatch.setattr(module, "density", lambda *a, **b: exact(*a, **b) * 1.1)
-        assert shape.lattice_densities(4.0, kernel="cubic_spline", device="cpu").errors.min() > 0.099
+        assert points.lattice_densities(4.0, kernel="cubic_spline", device="cpu").errors.min() > 0.099
 
 
 def test_rotation_is_about_its_axis_by_its_angle():
     axis = np.array([2.0, 3.0, 6.0]) / 7.0
-    turn = shape._rotation(axis, 0.3)
+    turn = points._rotation(axis, 0.3)
     np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-15)
     np.testing.assert_allclose(turn @ axis, axis, atol=1e-15)
     assert np.trace(turn) == pytest.approx(1.0 + 2.0 * np.cos(0.3))
-    np.testing.assert_allclose(shape._rotation(np.array([0.0, 0.0, 1.0]), np.pi / 2) @ [1, 0, 0], [0, 1, 0], atol=1e-15)
+    np.testing.assert_allclose(
+        points._rotation(np.array([0.0, 0.0, 1.0]), np.pi / 2) @ [1, 0, 0], [0, 1, 0], atol=1e-15
+    )

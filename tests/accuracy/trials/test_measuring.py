@@ -15,7 +15,7 @@ from geokit.accuracy import Chart, Judgement, Measurement, Trial, front, knee, m
 from geokit.accuracy.report.html import choices
 from geokit.accuracy.report.pareto import front_of, tolerance_steps
 from geokit.accuracy.report.table import COLUMNS
-from geokit.accuracy.trials.peak_memory import peak_bytes
+from geokit.accuracy.trials.measuring import peak_bytes
 from geokit.accuracy.trials.results import grouped
 from geokit.core import launcher
 from geokit.errors import FileAccessError, FileFormatError, InputError

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import geokit as gk
-from geokit.formats.images.zarr_chunks import MEASURES
+from geokit.formats.images.zarr_image import MEASURES
 
 zarr = pytest.importorskip("zarr")
 numcodecs = pytest.importorskip("numcodecs")

@@ -8,7 +8,7 @@ import pytest
 from geokit.mesh import Surface, TriangleMesh, box, sample_surface, torus
 from geokit.mesh.solids import trimming
 from geokit.mesh.solids.trimming import trimmed
-from geokit.volume.band.trimmed_surface import TrimmedSurface
+from geokit.volume.band.fields import TrimmedSurface
 from tests.support.assemblies import concatenated, prism_distance, star, star_outline, turned
 from tests.support.devices import DEVICES
 

@@ -21,7 +21,7 @@ from geokit import DeviceMemoryError, FileAccessError, FileFormatError, InputErr
 from geokit.formats.blocks.points import open_points
 from geokit.formats.blocks.records import BLOCK_BYTES, RecordFile, append
 from geokit.formats.columns import Columns
-from geokit.points.streamed import columns, process_file, records
+from geokit.points.streamed import columns, process_file, tiles
 from tests.support.effort import of_all
 
 CPU: dict[str, Any] = {"device": "cpu"}
@@ -351,9 +351,9 @@ def test_wide_points_are_read_in_small_blocks(tmp_path: Path) -> None:
 def test_records_keep_any_name(tmp_path: Path) -> None:
     """An array called as a field of the records would be lost."""
     points, data = np.ones((3, 3)), {"points": np.arange(3), "data x": np.ones((3, 2))}
-    kept = records.records_of(points, data)
+    kept = tiles.records_of(points, data)
     append(tmp_path / "a", kept)
-    found = list(records.blocks_of(RecordFile(tmp_path / "a", kept.dtype, 3)))
+    found = list(tiles.blocks_of(RecordFile(tmp_path / "a", kept.dtype, 3)))
     assert [len(block[0]) for block in found] == [0, 3]
     for name, values in data.items():
         np.testing.assert_array_equal(found[1][1][name], values)

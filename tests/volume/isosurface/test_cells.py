@@ -50,12 +50,7 @@ def test_planes_one_by_one(method, monkeypatch):
     def one_by_one(kernel, planes, inputs, outputs, device):
         launcher.launch(kernel, planes, [1, *inputs], outputs, device)
 
-    module = (
-        "geokit.volume.isosurface.marching_cubes"
-        if method == "marching_cubes"
-        else "geokit.volume.isosurface.surface_nets"
-    )
-    monkeypatch.setattr(f"{module}.launch_planes", one_by_one)
+    monkeypatch.setattr("geokit.volume.isosurface.surface_nets.launch_planes", one_by_one)
     found = from_volume(volume, method=method, device="cpu")
     assert launch.PLANES == 8
     np.testing.assert_array_equal(found.vertices, expected.vertices)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.catalog import mesh_catalog
-from geokit.volume.streamed import crossings
+from geokit.volume.streamed import windings
 from geokit.volume.streamed.survey import survey
 from geokit.volume.streamed.windings import ColumnWindings, CornerWindings
 
@@ -52,7 +52,7 @@ def on_the_lattice(name: str) -> np.ndarray:
 @pytest.mark.parametrize("pairs", [1 << 16, 7])
 @pytest.mark.parametrize("name", ["box", "nested", "l", "touching", "tetrahedron", "sphere", "overlapping", "torus"])
 def test_they_are_those_of_rational_numbers(name: str, pairs: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(crossings, "PAIRS", pairs)
+    monkeypatch.setattr(windings, "PAIRS", pairs)
     corners = on_the_lattice(name)
     lattice = tuple(np.arange(-1.0, 6.5, 0.5) for _ in range(3))
     few, many = CornerWindings(lattice, 0), ColumnWindings(corners, lattice, 0)
