@@ -114,7 +114,7 @@ def _abilities(report: dict[str, Any]) -> tuple[dict[str, str], dict[str, str]]:
     else:
         missing["kept kernels"] = f"{folder} is not writable: chmod u+w it, or set WARP_CACHE_PATH to a folder that is"
     for module, package in PACKAGES.items():
-        what = package.needed_by.removeprefix("a ").removeprefix("an ")
+        what = package.needed_by.removeprefix("a ").removeprefix("an ").rstrip(",")
         if importlib.util.find_spec(module) is None:
             missing[what] = remedy(module)
         elif package.extra:

@@ -26,21 +26,9 @@ if TYPE_CHECKING:
     import warp as wp
 
 __all__ = [
-    "ALL_GPUS",
-    "compile_notice",
-    "cuda_devices",
-    "device_or_default",
-    "identity",
-    "is_several",
-    "launch",
-    "launch_queries",
-    "load_module",
-    "morton_order",
-    "on_compile",
-    "pool",
-    "resolve_device",
-    "thread_count",
-]
+    "ALL_GPUS", "compile_notice", "cuda_devices", "device_or_default", "identity", "is_several", "launch",
+    "launch_queries", "load_module", "morton_order", "on_compile", "pool", "resolve_device", "thread_count",
+]  # fmt: skip
 
 # As a device: all CUDA devices.
 ALL_GPUS = "cuda:*"

@@ -23,7 +23,7 @@ from tests.house.test_rooms import FORWARDING, PACKAGE, edges
 # to verbs. Annotations of public names with Any.
 MOST_FILES = 26
 CEILINGS = {
-    "lines": 115700,
+    "lines": 116150,
     "files in mesh/bvh": 28,
     "files in mesh/queries": 27,
     "files in volume/tree": 27,

@@ -19,17 +19,9 @@ if TYPE_CHECKING:
     from geokit.points.search.periodic import Images
 
 __all__ = [
-    "Asked",
-    "blocks_of",
-    "count",
-    "crowding",
-    "fill",
-    "launch_shares",
-    "notes_bytes",
-    "points_of",
-    "require_room",
+    "Asked", "blocks_of", "count", "crowding", "fill", "launch_shares", "notes_bytes", "points_of", "require_room",
     "sort_by_distance",
-]
+]  # fmt: skip
 
 # Bytes of an entry: int32 index and float64 distance.
 BYTES_PER_NEIGHBOR = 12
