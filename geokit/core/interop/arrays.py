@@ -18,19 +18,9 @@ if TYPE_CHECKING:
     import warp as wp
 
 __all__ = [
-    "as_table",
-    "broadcast_rows",
-    "detached",
-    "exporter_like",
-    "flat_rows",
-    "import_array",
-    "is_exporter",
-    "is_in_order",
-    "lead_of",
-    "led",
-    "reinterpreted",
-    "widened",
-]
+    "as_table", "broadcast_rows", "detached", "exporter_like", "flat_rows", "import_array", "is_exporter",
+    "is_in_order", "lead_of", "led", "reinterpreted", "widened",
+]  # fmt: skip
 
 
 # Types of numbers of other libraries that kernels do not take.
