@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from geokit.core import launcher
 from geokit.core.base.snapshot import snapshot
+from geokit.core.gradients.rules import untracked
 from geokit.core.memory import available_memory
 from geokit.core.poses.move import require_rigid
 from geokit.core.query.ask import query
@@ -144,7 +145,8 @@ class ContactQueries(SignQueries, DistanceQueries):
             raise InputError(f"margin: {margin} is not a distance; give a finite number from 0 up")
         maps = (np.eye(4) if transform is None else require_rigid(transform)).reshape(-1, 4, 4)
         count, *found = self._of_blocks(partial(self._within, margin), other, maps, transform is None)
-        return _Regions((self, other), maps, np.repeat(np.arange(len(maps)), count), *found).answer()
+        bodies = untracked(self), untracked(other)
+        return _Regions(bodies, maps, np.repeat(np.arange(len(maps)), count), *found).answer()
 
     def _within(self, margin: float, other: Any, maps: Floats, scale: Floats) -> tuple[NDArray[Any], ...]:
         """The number of pairs within the margin in each pose; their faces, distances, areas and points, by faces."""
