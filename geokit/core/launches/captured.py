@@ -21,7 +21,7 @@ def is_captured(device: "wp.Device") -> bool:
 
 
 def refuse(device: "wp.Device", what: str) -> None:
-    """Refuse ``what`` is read on the host or copied from there.
+    """Refuse what is read on the host, or copied from there.
 
     Raises:
         InputError: A graph is captured on the device.

@@ -42,8 +42,9 @@ def answer(query: Query, search: Callable[..., Any], given: tuple[Any, ...], opt
     rows = given[1 : 1 + len(query.rows)]
     if type(cache) is not ObjectCache or any(isinstance(value, IN_HOST_MEMORY) for value in rows):
         return search(query, given, options)
-    with _capture_of_torch(rows):
-        key = query, tuple(options), *map(_kind_of, (*given[1:], *options.values()))
+    values = *given[1:], *options.values()
+    with _capture_of_torch(getattr(given[0], "_device", None), values):
+        key = query, tuple(options), *map(_kind_of, values)
         if key in cache.find(NOTED, set):
             return search(query, given, options)
         device = getattr(given[0], "_device", None) or launcher.resolve_device(options.get("device"))
@@ -72,16 +73,18 @@ def _kind_of(value: Any) -> Hashable:
 
 
 @contextlib.contextmanager
-def _capture_of_torch(rows: tuple[Any, ...]) -> Any:
-    """Warp's part in a capture by torch, where it is at work on the rows: the same stream, and notice of the graph."""
+def _capture_of_torch(device: Any, values: tuple[Any, ...]) -> Any:
+    """Warp's part in a capture by torch, on the device of an object or of a tensor: its stream, and notice of it."""
     torch: Any = sys.modules.get("torch")
-    tensor = next((row for row in rows if torch is not None and isinstance(row, torch.Tensor) and row.is_cuda), None)
-    if tensor is None or not torch.cuda.is_current_stream_capturing():
+    places = [] if device is None or not device.is_cuda else [device.ordinal]
+    if torch is not None and not places:
+        places = [value.device for value in values if isinstance(value, torch.Tensor) and value.is_cuda]
+    if torch is None or not places or not torch.cuda.is_current_stream_capturing():
         yield
         return
     import warp as wp
 
-    stream = wp.stream_from_torch(torch.cuda.current_stream(tensor.device))
+    stream = wp.stream_from_torch(torch.cuda.current_stream(places[0]))
     if stream in stream.device.captures:  # a capture of warp's, in which torch is asked
         yield
         return

@@ -266,12 +266,15 @@ def test_a_graph_of_torch_has_the_bits_of_the_call(device: str, count: int) -> N
         return torch.as_tensor(scene.fresh(seed).numpy(), device=device)
 
     rows, ahead = tensor(0), tensor(1)
+    own = gk.points.NeighborGrid(tensor(4), 0.3, device=device)
 
     def ask() -> list[Any]:
         held, where = scene.closed, {"device": device}
         found = [*held.closest_point(rows), *held.signed_distance(rows), *held.raycast(rows, ahead)]
         found += [scene.field.sample(rows, **where), scene.field.gradient(rows.float(), **where)]
-        return [*found, scene.grid.count(rows), *scene.grid.knn(rows, 4)]
+        # Tensors by name, and points of the grid alone.
+        found += [scene.grid.count(queries=rows), *scene.grid.knn(rows, 4), own.count(), held.contains(points=rows)]
+        return found
 
     for _ in range(2):
         ask()
