@@ -121,7 +121,7 @@ class ContactQueries(SignQueries, DistanceQueries):
         a point on each face that crosses. Inside is as :meth:`signed_distance` says; only closed bodies have one.
 
         Args:
-            other: A surface on the same device.
+            other: A surface on the same device; a level set as that of :func:`geokit.mesh.from_volume`.
             transform: Where this surface is: a rigid map or mirror for column vectors, (4, 4), or many, (B, 4, 4).
             margin: Distance up to which surfaces are near [world]; 0 takes those that touch or cross.
         Returns:

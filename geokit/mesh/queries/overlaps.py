@@ -231,7 +231,8 @@ def require_surface(surface: OverlapQueries, other: OverlapQueries) -> OverlapQu
         InputError: It is not a Surface, or is on another device.
     """
     if not isinstance(other, OverlapQueries):
-        raise InputError(f"other: {type(other).__name__} is not a Surface; prepare one from the mesh")
+        remedy = "prepare one, mesh.Surface(mesh); of a volume take mesh.from_volume(volume)"
+        raise InputError(f"other: {type(other).__name__} is not a Surface; {remedy}")
     if other._device != surface._device:
         raise InputError(
             f"other: it is on {other._device.alias}, this surface on {surface._device.alias}; prepare both on one"

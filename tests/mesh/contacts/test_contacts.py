@@ -234,6 +234,34 @@ def test_soups_loose_vertices_and_updates():
     assert of(soup, floor, moved([0, 0, 0.75]), margin=1.0).separations == pytest.approx([0.75])
 
 
+@pytest.mark.parametrize("kinds", [(0, 1), (1, 1)], ids=["mesh and level set", "two level sets"])
+def test_level_sets_by_their_isosurfaces(kinds):
+    """Two balls of a formula: no contact is missed or lies elsewhere by more than the deviation of the isosurface."""
+    radius, voxel, rng = (1.0, 0.6), 0.08, np.random.default_rng(3)
+    balls, off = [], 0.0
+    for size, kind in zip(radius, kinds, strict=True):
+        mesh = gk.mesh.sphere(size, segments=48)
+        off += size * (1 - np.cos(np.pi / 48)) * 2
+        if kind:
+            mesh = gk.mesh.from_volume(gk.volume.from_mesh(mesh, voxel, device="cpu"), device="cpu")
+            off += voxel / 10
+        balls.append(gk.mesh.Surface(mesh, device="cpu"))
+    poses = np.tile(np.eye(4), (60, 1, 1))
+    along = rng.normal(size=(60, 3))
+    apart = rng.uniform(1.0, 1.9, 60)
+    poses[:, :3, 3] = along * (apart / np.linalg.norm(along, axis=1))[:, None]
+    found, truth = of(*balls, poses, margin=0.1), apart - sum(radius)
+    count = np.diff(found.offsets)
+    assert (count[truth < 0.1 - off] == 1).all()
+    assert (count[truth > 0.1 + off] == 0).all()
+    one = count == 1
+    np.testing.assert_allclose(found.separations, truth[one], atol=off)
+    # Both bounds of the depth, and of the shortest move that parts two balls.
+    deep = one & (truth < -off)
+    assert (found.penetrations[deep, 0] <= -truth[deep] + off).all()
+    assert (found.penetrations[deep, 1] >= -truth[deep] - off).all()
+
+
 def test_no_poses():
     found = surface(TETRAHEDRON).contacts(surface(TETRAHEDRON), transform=np.zeros((0, 4, 4)))
     assert found.offsets.tolist() == [0]
