@@ -61,7 +61,7 @@ def collapsed(
         limit: Distance, also one around each face (F,); inf for none.
         face_count: Wanted number of faces.
         fixed: Whether each vertex stays as it is (V,).
-        past: The last trial with this mesh, whose limits were nowhere less; it becomes this one.
+        past: The last trial with this mesh, with no lower limit and nothing fixed that is not now; it becomes this one.
         tell: Called with the number of faces that are left, many times.
     Returns:
         TriangleMesh without unused vertices, with the topology of the input, and the face of the input that each of its
@@ -86,7 +86,8 @@ def collapsed(
     corner, limited = mesh.faces.reshape(-1), np.ndim(limit) > 0 or math.isfinite(limit)
     limits = np.array(np.broadcast_to(limit, faces if limited else 0))
     is_first, past = past is not None and not past.rounds, past or Past(mesh)
-    if past.early[LATE:] and limits.min() > EARLY * limits.max():
+    stays = np.zeros(vertices, np.bool_) if fixed is None else fixed
+    if past.early[LATE:] and not stays.any() and limited and limits.min() > EARLY * limits.max():
         arrays, repeated = past.early[-1 - LATE]
         hold(**(arrays | {name: arrays[name].copy() for name in CHANGED}))
     else:
@@ -102,7 +103,6 @@ def collapsed(
         first_sample, next_sample = _lists(sample_face, faces)
         hold(sample=sample, sample_face=sample_face, first_sample=first_sample, next_sample=next_sample)
     hold(quadric=np.empty(10 * vertices), locked=np.zeros(vertices, np.int32))
-    stays = np.zeros(vertices, np.bool_) if fixed is None else fixed
     hold(fixed=stays.copy())
     hold(error=np.empty(vertices), partner=np.empty(vertices, np.int32))
     hold(tried=np.empty(vertices), tried_partner=np.full(vertices, -1, np.int32))
@@ -114,7 +114,9 @@ def collapsed(
         # Of two vertices the one of higher number goes.
         while (became[became] != became).any():
             became = became[became]
-        changed[np.isin(became, became[mesh.faces[limits < past.limit]])] = kernels.WATCHED
+        if limited:
+            changed[np.isin(became, became[mesh.faces[limits < past.limit]])] = kernels.WATCHED
+        changed[stays] = kernels.SKIPPED
     past.limit = limits
 
     def counts(log: NDArray[np.int32], begin: NDArray[np.int32]) -> NDArray[np.int32]:

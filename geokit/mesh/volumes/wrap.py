@@ -23,7 +23,7 @@ from geokit.mesh._simplify import with_attributes
 from geokit.mesh.attributes.derived import used_vertices
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.queries.hausdorff import DistanceSearch
-from geokit.mesh.simplification.collapse import collapsed
+from geokit.mesh.simplification.collapse import Past, collapsed
 from geokit.mesh.simplification.proof import far_faces
 from geokit.mesh.surfaces.objects import require_mesh
 from geokit.mesh.surfaces.surface import Surface
@@ -43,12 +43,14 @@ LEVEL, VOXEL = 0.47, 0.5
 # times: what is left around a lone point when a gap has been closed may have slipped between voxels of the first size.
 SMALLER, LATTICES = 0.85, 4
 # Faces are merged within these shares of the level, each time from what the last one left and to no less than a part of
-# it: so no face has many points to look at. Where faces cross, those that they were stay as they are, so many times.
-SHARES = (0.1, 0.1, 0.3, 0.9, 0.9)
-PART = 12
+# it: so no face has many points to look at. The first time there is no limit but that part, which takes a third of the
+# time, but is left out where it spoils more than this share of them. Where faces cross or are too far, those that they
+# were stay as they are, so many times.
+PASSES = ((np.inf, 8), (0.1, 12), (0.1, 12), (0.3, 12), (0.9, 12), (0.9, 12))
+SPOILED = 0.01
 TRIALS = 24
-# Vertices this many times the distance from a face that crosses others stay.
-AROUND = 1.5
+# Vertices this many times the distance from a face that is wrong stay; this many levels where there is no limit.
+AROUND, UNLIMITED = 1.5, 0.15
 # Lengths that are asked for, in sizes of the mesh: beyond, float32 does not see the mesh.
 LARGEST = THICKEST / 4.0
 # Roundings of coordinates that a tolerance has at least: with fewer, vertices of the isosurface fall on each other.
@@ -194,13 +196,23 @@ def _outer(mesh: TriangleMesh, cavities: bool) -> tuple[TriangleMesh, int]:
     """The mesh without pieces inside of others, and their number."""
     if cavities:
         return mesh, 0
-    names, label = np.unique(face_parts(mesh), return_inverse=True)
-    inner, _ = enclosing_pairs(mesh, label.reshape(-1), len(names), partial(Surface, device="cpu"))
-    held = np.zeros(len(names), bool)
-    held[inner] = True
+    _, first, label = np.unique(face_parts(mesh), return_index=True, return_inverse=True)
+    label, held = label.reshape(-1), np.zeros(len(first), bool)
+    # Pieces do not cross. So one face of each says whether it is inside of the one farthest out, as of many most are.
+    of_vertex = np.full(mesh.vertex_count, -1)
+    of_vertex[mesh.faces.reshape(-1)] = label.repeat(3)
+    outside = of_vertex[mesh.vertices[:, 0].argmin()]
+    some = label == outside
+    some[first] = True
+    for whole in (False, True):
+        rows = np.flatnonzero((some | whole) & ~held[label])
+        piece, at = np.unique(label[rows], return_inverse=True)
+        one = TriangleMesh(mesh.vertices, mesh.faces[rows])
+        inner, outer = enclosing_pairs(one, at.reshape(-1), len(piece), partial(Surface, device="cpu"))
+        held[piece[inner[whole | (piece[outer] == outside)]]] = True
     if not held.any():
         return mesh, 0
-    used, faces = used_vertices(mesh.faces[~held[label.reshape(-1)]], mesh.vertex_count)
+    used, faces = used_vertices(mesh.faces[~held[label]], mesh.vertex_count)
     return TriangleMesh(mesh.vertices[used], faces), int(held.sum())
 
 
@@ -208,32 +220,33 @@ def _merged(mesh: TriangleMesh, source: Surface, offset: float, level: float, to
     """The mesh with ever fewer faces, as long as they neither cross each other nor the grown input, nor are too far."""
     made: list[TriangleMesh] = []
     full = Surface(mesh, device=source.device)
-    for share in SHARES:
-        fixed = np.zeros(mesh.vertex_count, bool)
+    for share, part in PASSES:
+        fixed, past = np.zeros(mesh.vertex_count, bool), Past(mesh)
+        around = level * (AROUND * share if share < np.inf else UNLIMITED)
         for _ in range(TRIALS):
-            found = _collapsed(mesh, share * level, fixed)
+            found = _collapsed(mesh, share * level, mesh.face_count // part, fixed, past)
             wrong = _wrong(found, source, offset)
             if not wrong.any():
                 wrong = _far(found, full, source, offset, tolerance)
             if not wrong.any():
+                made.append(found)
+                mesh = found
                 break
             there = Surface(TriangleMesh(found.vertices, found.faces[wrong]), device="cpu")
-            near = there.closest_point(mesh.vertices).distance <= AROUND * share * level
-            if fixed[near].all():  # it was so before
-                return made
-            fixed |= near
-        else:
-            return made
-        made.append(found)
-        mesh = found
+            distance = there.closest_point(mesh.vertices).distance
+            if fixed.all() or (np.isinf(share) and wrong.mean() > SPOILED):
+                break
+            while fixed[distance <= around].all():  # the faces there are others than before, and wrong again
+                around *= 2.0
+            fixed |= distance <= around
     return made
 
 
-def _collapsed(mesh: TriangleMesh, distance: float, fixed: NDArray[np.bool_]) -> TriangleMesh:
-    """The mesh with edges collapsed within a distance, which is held at points only."""
+def _collapsed(mesh: TriangleMesh, distance: float, count: int, fixed: NDArray[np.bool_], past: Past) -> TriangleMesh:
+    """The mesh with edges collapsed within a distance, which is held at points only; what it can it repeats."""
     frame = Frame.around(*mesh.bounds)
     local = TriangleMesh((mesh.vertices - frame.origin) / frame.scale, mesh.faces)
-    found, _ = collapsed(local, distance / frame.scale, mesh.face_count // PART, fixed=fixed)
+    found, _ = collapsed(local, distance / frame.scale, count, fixed=fixed, past=past)
     return TriangleMesh(found.vertices * frame.scale + frame.origin, found.faces)
 
 

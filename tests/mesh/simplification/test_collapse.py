@@ -45,6 +45,22 @@ def test_with_the_same_limits_all_is_repeated(part: int) -> None:
         past.early.clear()
 
 
+@pytest.mark.parametrize("limit", [LIMIT, np.inf])
+def test_what_is_fixed_later_stays(part: int, limit: float) -> None:
+    mesh = rough(60, 1)
+    past, some, stays = Past(mesh), mesh.face_count // 6, np.zeros(mesh.vertex_count, bool)
+    first, _ = collapsed(mesh, limit, some, past=past)
+    for low in (0.2, 0.6):
+        stays |= (np.abs(mesh.vertices[:, :2] - low) < 0.1).all(axis=1)
+        found, source = collapsed(mesh, limit, some, fixed=stays, past=past)
+        assert {row.tobytes() for row in mesh.vertices[stays]} <= {row.tobytes() for row in found.vertices}
+        assert shape_of(mesh).is_kept_by(shape_of(found))
+        assert found.face_count <= 1.05 * first.face_count + 2 * stays.sum()
+        # Nothing that was around these vertices alone has gone.
+        around = stays[mesh.faces].all(axis=1)
+        assert np.isin(np.flatnonzero(around), source).all()
+
+
 def test_lower_limits_are_kept_where_they_are(part: int) -> None:
     mesh, past = rough(60, 1), Past(rough(60, 1))
     first, source = collapsed(mesh, np.full(mesh.face_count, LIMIT), 0, past=past)
