@@ -168,7 +168,7 @@ def broadcast_rows(tables: dict[str, Any]) -> dict[str, Any]:
     Raises:
         InputError: Other leading axes differ.
     """
-    given = {name: value for name, value in tables.items() if lead_of(value) == tuple(value.shape) or _has_three(value)}
+    given = {name: rows for name, rows in tables.items() if tuple(rows.shape) in (lead_of(rows), (*lead_of(rows), 3))}
     lead = next((found for value in given.values() if (found := lead_of(value))), ())
     for name, value in given.items():
         if (own := lead_of(value)) not in ((), lead):
@@ -180,10 +180,6 @@ def broadcast_rows(tables: dict[str, Any]) -> dict[str, Any]:
         if own != lead:
             tables = tables | {name: _repeated(value, (*lead, 3), name)}
     return tables
-
-
-def _has_three(value: Any) -> bool:
-    return tuple(value.shape)[-1:] == (3,)
 
 
 def _repeated(row: Any, shape: tuple[int, ...], name: str) -> Any:

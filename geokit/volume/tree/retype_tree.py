@@ -52,7 +52,10 @@ class RetypedTree:
             np.minimum.at(below[0], parent, low)
             np.maximum.at(below[1], parent, high)
             low, high = below
-            _add_tiles(level, low, high)
+            for first, part in level.parts():
+                node, slot = set_bits(part.tile_mask)
+                np.minimum.at(low, node + first, part.values[node, slot])
+                np.maximum.at(high, node + first, part.values[node, slot])
             some, limits = low <= high, level.limits
             limits[some, 0], limits[some, 1] = low[some], high[some]
         tiles = grid.table["value"][(grid.table["child"] == 0) & (grid.table["state"] != 0)]
@@ -60,15 +63,6 @@ class RetypedTree:
         if len(least) and least.min() <= most.max():
             grid.root.limits[0] = least.min(), most.max()
         grid_header(self.buffer)["flags"] |= FLAG_HAS_MIN_MAX
-
-
-def _add_tiles(level: NodeLevel, low: NDArray[np.float32], high: NDArray[np.float32]) -> None:
-    """Include the active tiles of each node in its extrema."""
-    for first, part in level.parts():
-        node, slot = set_bits(part.tile_mask)
-        values = part.values[node, slot]
-        np.minimum.at(low, node + first, values)
-        np.maximum.at(high, node + first, values)
 
 
 def tile_values(buffer: NDArray[np.uint8]) -> NDArray[Any]:
