@@ -9,7 +9,7 @@ from geokit.core import cpp
 from geokit.core.atomic_kernels import lower_to
 from geokit.mesh.bvh.bvh2_cuda_kernels import NODE_CONSTANTS
 from geokit.mesh.bvh.bvh8_build_cpu_kernels import STACK
-from geokit.mesh.bvh.closest_on_triangle_kernels import SLIVER_SINE_SQUARED, closest_on_triangle, offset_from_triangle
+from geokit.mesh.triangle.closest_on_triangle_kernels import SLIVER_SINE_SQUARED, closest_on_triangle, offset_from_triangle
 from geokit.mesh.bvh.nearest_kernels import nearest_slot
 from geokit.mesh.bvh.tree_kernels import BOX_PADDING, SurfaceTree
 from geokit.mesh.queries.intersecting_kernels import PAIR_CONSTANTS

@@ -10,7 +10,7 @@ import warp as wp
 
 from geokit.core import cpp
 from geokit.mesh.bvh.bvh8_build_cpu_kernels import STACK
-from geokit.mesh.bvh.closest_on_triangle_kernels import SLIVER_SINE_SQUARED
+from geokit.mesh.triangle.closest_on_triangle_kernels import SLIVER_SINE_SQUARED
 from geokit.mesh.bvh.leaf_planes_kernels import PLANE_ROWS
 from geokit.mesh.bvh.nearest_kernels import DISTANCE_ERROR, FAR, UNBOUNDED, distance_from_slot, nearest_slot
 from geokit.mesh.bvh.tree_kernels import SurfaceTree

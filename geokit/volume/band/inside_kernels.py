@@ -4,7 +4,7 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.mesh.bvh.closest_on_triangle_kernels import closest_on_triangle, offset_from_triangle
+from geokit.mesh.triangle.closest_on_triangle_kernels import closest_on_triangle, offset_from_triangle
 from geokit.mesh.bvh.nearest_kernels import nearest_slot
 from geokit.mesh.bvh.tree_kernels import SurfaceTree
 from geokit.mesh.bvh.winding_kernels import WindingTree, is_inside

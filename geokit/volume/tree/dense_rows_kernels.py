@@ -12,13 +12,13 @@ from geokit.volume.nanovdb.read_voxel_kernels import grid_type_of, node_of, read
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 
-@cpp.func_native("volume/tree/dense_rows.inl")
+@cpp.func_native("volume/nanovdb/read_voxel.inl")
 def copy_float_run():  # fmt: skip
     """Copies ``count`` voxels along z, all in the leaf or tile that node_of found for the first."""
     ...
 
 
-@cpp.func_native("volume/tree/dense_rows.inl")
+@cpp.func_native("volume/nanovdb/read_voxel.inl")
 def read_int64(volume: wp.uint64, node: wp.uint64, i: int, j: int, k: int) -> wp.int64:
     """The value of a voxel of an int64 grid, given the node from node_of."""
     ...

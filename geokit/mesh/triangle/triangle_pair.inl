@@ -2,7 +2,7 @@
 //
 // Triangles are closed sets: touching counts as intersecting. Triangles without area are segments or points.
 #pragma once
-#include "mesh/bvh/exact_arithmetic.inl"
+#include "mesh/triangle/exact_arithmetic.inl"
 
 // ---- Exact orientation predicates of float64 points: a filter first, expansions where it cannot decide.
 //

@@ -10,7 +10,7 @@
 // Muecke, "Simulation of Simplicity", 1990). Signs are those of the exact determinants of the sheared corners, so that
 // they belong to one arrangement of points in the plane, and any line crosses a closed surface an even number of times.
 #pragma once
-#include "mesh/bvh/exact_arithmetic.inl"
+#include "mesh/triangle/exact_arithmetic.inl"
 
 #if defined(__CUDA_ARCH__)
 // A GPU can index only memory: an index that is not known at compile time would keep all points there.
