@@ -1,8 +1,8 @@
 """How Sphinx builds the site: `./dev docs` writes it to site/.
 
-Pages are the Markdown files beside this one. Three things are made here, so that they are written down once: pages of
+Pages are the Markdown files beside this one. Four things are made here, so that they are written down once: pages of
 the files in the repository's root, the API reference (sections of each door's `__init__.pyi`, texts of the docstrings),
-and the links of docstrings to the tests that hold them.
+the links of docstrings to the tests that hold them, and `llms.txt`.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import importlib.util
 import inspect
 import os
 import re
+import shutil
 from functools import cache, cached_property
 from pathlib import Path
 
@@ -58,12 +59,14 @@ html_theme_options = {
     "header_links_before_dropdown": 8,
     "show_toc_level": 1,
     "secondary_sidebar_items": {"**": ["page-toc"], "index": []},
-    "navigation_depth": 2,
+    "navigation_depth": 3,
     "footer_start": [],
     "footer_end": [],
 }
 html_context = {"default_mode": "auto"}
 
+# Members from which on a class has a page of its own.
+LONG = 6
 # Pages that are files of the root.
 ROOT_PAGES = {
     "changelog": "CHANGELOG.md",
@@ -130,28 +133,99 @@ def first_line(thing: object) -> str:
     return re.sub(r"(?<=[.;:]) .*", "", text, count=1).rstrip(".:;")
 
 
-def api_page(door: str) -> str:
-    """The reference of a door: for each section a table of its names, then their docstrings."""
-    module = importlib.import_module(f"geokit.{door}")
-    lines = [f"# geokit.{door}", "", f"```{{eval-rst}}\n.. automodule:: geokit.{door}\n   :no-members:\n```", ""]
-    for heading, names in sections(door):
-        lines += [f"## {heading}", "", "| name | what it is |", "|---|---|"]
-        for name in names:
-            lines.append(f"| {{py:obj}}`{name} <geokit.{door}.{name}>` | {first_line(getattr(module, name))} |")
-        lines += ["", "```{eval-rst}"]
+def described(full: str, thing: object) -> list[str]:
+    """The directive of a public name, with the members of a class."""
+    if inspect.isclass(thing):
+        kind = "autoexception" if issubclass(thing, Exception) else "autoclass"
+        listed = members(thing) if kind == "autoclass" else []
+        return [f".. {kind}:: {full}", *([f"   :members: {', '.join(listed)}"] if listed else []), ""]
+    if inspect.isfunction(thing):
+        return [f".. autofunction:: {full}", ""]
+    return [f".. py:data:: {full}", "", f"   {first_line(thing)}", ""]  # kernels' functions and structs of warp
+
+
+def api_pages(door: str) -> dict[str, str]:
+    """The reference of a door by page: tables of its names, docstrings of each section, and of each class with methods.
+
+    A door with one section is one page, but for its classes.
+    """
+    module, parts, made = importlib.import_module(f"geokit.{door}"), sections(door), {}
+    head = [f"# geokit.{door}", "", f"```{{eval-rst}}\n.. automodule:: geokit.{door}\n   :no-members:\n```", ""]
+    for heading, names in parts:
+        head += [f"## {heading}", "", "| name | what it is |", "|---|---|"]
+        body: list[str] = []
         for name in names:
             thing, full = getattr(module, name), f"geokit.{door}.{name}"
-            if inspect.isclass(thing) and issubclass(thing, Exception):
-                lines += [f".. autoexception:: {full}", ""]
-            elif inspect.isclass(thing):
-                listed = members(thing)
-                lines += [f".. autoclass:: {full}", *([f"   :members: {', '.join(listed)}"] if listed else []), ""]
-            elif inspect.isfunction(thing):
-                lines += [f".. autofunction:: {full}", ""]
-            else:  # kernels' functions and structs of warp
-                lines += [f".. py:data:: {full}", "", f"   {first_line(thing)}", ""]
-        lines += ["```", ""]
-    return "\n".join(lines)
+            head.append(f"| {{py:obj}}`{name} <{full}>` | {first_line(thing)} |")
+            lines = described(full, thing)
+            if inspect.isclass(thing) and len(members(thing)) >= LONG:
+                made[f"{door}/{name}"] = "\n".join([f"# {full}", "", "```{eval-rst}", *lines, "```", ""])
+            else:
+                body += lines
+        head.append("")
+        if body and len(parts) > 1:
+            page = re.sub(r"\W+", "-", re.split("[:;]", heading)[0].lower())
+            made[f"{door}/{page}"] = "\n".join([f"# {heading}", "", "```{eval-rst}", *body, "```", ""])
+        elif body:
+            head += ["```{eval-rst}", *body, "```", ""]
+    if made:
+        head += ["```{toctree}", ":hidden:", "", *made, "```", ""]
+    return {door: "\n".join(head), **made}
+
+
+def write_pages(app: object, config: object) -> None:
+    """Write the pages of sections and classes beside those of the doors, which are made when they are read."""
+    from sphinx.ext.autodoc.mock import mock
+
+    for stub in (DOCS / "api").glob("*.md"):
+        shutil.rmtree(stub.with_suffix(""), ignore_errors=True)
+        with mock(autodoc_mock_imports):
+            made = {} if stub.stem == "index" else api_pages(stub.stem)
+        for page, text in made.items():
+            if page != stub.stem:
+                stub.with_suffix("").mkdir(exist_ok=True)
+                (DOCS / "api" / f"{page}.md").write_text(text, encoding="utf-8")
+
+
+def first_sentence(text: str) -> str:
+    """Of the first paragraph of a page that is prose."""
+    for paragraph in re.sub(r"^```.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL).split("\n\n"):
+        plain = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", " ".join(paragraph.split()))
+        if re.match(r"[A-Z`\"*]", plain):
+            return re.split(r"(?<=[.?!])\s", plain)[0].rstrip(":")
+    return ""
+
+
+def index_for_models() -> str:
+    """``llms.txt`` (llmstxt.org): every page of the site with its first sentence, in the order of the site."""
+    summary = first_sentence((ROOT / "README.md").read_text(encoding="utf-8"))
+    lines, done = ["# geokit", "", f"> {summary}", ""], set()
+
+    def add(page: Path, level: int) -> None:
+        name = page.relative_to(DOCS).with_suffix("").as_posix()
+        text = root_page(name) if name in ROOT_PAGES else page.read_text(encoding="utf-8")
+        if page not in done and not done.add(page):
+            title = re.search(r"^# (.*)", text, re.MULTILINE)[1]
+            door = re.fullmatch(r"api/(\w+)", name)
+            said = first_sentence(text)
+            if door and door[1] != "index":
+                said = first_line(importlib.import_module(f"geokit.{door[1]}"))
+            if name != "index":
+                lines.append(f"{'  ' * level}- [{title}]({name}.html): {said}")
+        for body in re.findall(r"^```\{toctree\}\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
+            for entry in (line for line in body.splitlines() if line and not line.startswith(":")):
+                for child in sorted(page.parent.glob(re.sub(r"^.*<(.*)>$", r"\1", entry) + ".md")):
+                    add(child, level + (page.stem != "index" or page.parent != DOCS))
+
+    add(DOCS / "index.md", 0)
+    return "\n".join(lines) + "\n"
+
+
+def write_index(app: object, error: object) -> None:
+    from sphinx.ext.autodoc.mock import mock
+
+    with mock(autodoc_mock_imports):
+        (Path(app.outdir) / "llms.txt").write_text(index_for_models(), encoding="utf-8")
 
 
 def read_source(app: object, docname: str, source: list[str]) -> None:
@@ -159,9 +233,9 @@ def read_source(app: object, docname: str, source: list[str]) -> None:
 
     if docname in ROOT_PAGES:
         source[0] = root_page(docname)
-    elif docname.startswith("api/") and docname != "api/index":
+    elif re.fullmatch(r"api/(?!index)\w+", docname):
         with mock(autodoc_mock_imports):
-            source[0] = api_page(docname.removeprefix("api/"))
+            source[0] = api_pages(docname.removeprefix("api/"))[docname.removeprefix("api/")]
     source[0] = linked_to_pages(source[0], docname)
 
 
@@ -186,6 +260,8 @@ def public_signature(app: object, what: str, name: str, thing: object, options: 
 
 
 def setup(app: object) -> None:
+    app.connect("config-inited", write_pages)
+    app.connect("build-finished", write_index)
     app.connect("source-read", read_source)
     app.connect("autodoc-process-docstring", link_tests, priority=400)
     app.connect("autodoc-process-signature", public_signature)

@@ -88,7 +88,7 @@ class Format(NamedTuple):
         encodings: Encodings of point clouds, the default first; empty if there is only one.
         single: Whether float32 points are written as float32. Other formats write float64.
         references: Whether files may refer to other files.
-        limited: Whether point clouds hold only some arrays, or rounded coordinates: such files hold no query's answers.
+        limited: Whether point clouds hold only some arrays: such files hold no answers of queries.
         arrays: Names of the only arrays that point clouds hold; empty if they hold any.
         curved: Whether meshes have curved faces in the file, for which ``read_mesh`` takes a ``tolerance``.
         series: Whether meshes may have time steps, of which ``read_mesh`` takes the number of one as ``step``.
@@ -176,7 +176,7 @@ FORMATS: dict[str, Format] = {
     ".pcd": Format("pcd", points="rw", encodings=("binary", "ascii", "binary_compressed"), single=True, **_Z),
     ".pts": Format("pts", points="rw", limited=True, arrays=("intensity", "rgb"), **_Z),
     # laspy. Only compressed content, under either extension, is read in a separate process.
-    **dict.fromkeys((".las", ".laz"), Format("las", points="rw", process=True, extra="las", limited=True, **_Z)),
+    **dict.fromkeys((".las", ".laz"), Format("las", points="rw", process=True, extra="las", **_Z)),
     # pye57
     ".e57": Format("e57", points="r", process=True, extra="e57", **_Z),
     # Sweeps of KITTI and nuScenes, without a header.

@@ -182,7 +182,10 @@ def test_help_texts_of_queries_list_the_formats(command):
 def test_outputs_of_queries_hold_arrays_of_any_name(kind, tmp_path):
     points, rows = np.arange(12.0).reshape(4, 3), {"triangle_id": np.arange(4), "closest": np.ones((4, 3))}
     gk.points.save(tmp_path / f"a{kind}", points, data=rows)
-    assert gk.points.load(tmp_path / f"a{kind}").points.tolist() == points.tolist()
+    cloud = gk.points.load(tmp_path / f"a{kind}")
+    assert cloud.points.tolist() == points.tolist()
+    for name in rows if kind in (".las", ".laz") else ():
+        np.testing.assert_array_equal(cloud.data[name], rows[name])
 
 
 @pytest.mark.parametrize("kind", [kind for kind, found in FORMATS.items() if found.image])

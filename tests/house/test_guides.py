@@ -228,6 +228,50 @@ def sdf_samples(made: SimpleNamespace) -> None:
 
 
 @check
+def print_file(made: SimpleNamespace) -> None:
+    # A ring of 48 by 24, of 1 and 0.4 inches: its volume is Pappus's for the polygon of the tube, within a percent.
+    assert made.again.volume == pytest.approx(2 * np.pi**2 * 0.4**2 * 25.4**3, rel=0.03)
+    assert made.size == pytest.approx([2.8 * 25.4, 2.8 * 25.4, 0.8 * 25.4], rel=0.01)
+    assert made.again.meters_per_unit == 1e-3
+    assert gk.mesh.audit(made.again).watertight
+    assert (made.before.boundary_edge_count, made.before.duplicate_count) == (46, 15)
+    assert (made.found.flipped, len(made.filled)) == (20, 10)
+    assert np.sum(made.new > 0.1) == 10  # the missing faces
+
+
+@check
+def loader(made: SimpleNamespace) -> None:
+    assert made.count == 9 * 50_000
+    seen = {}
+    for batch, (index, points, distance) in enumerate(made.seen):
+        assert sorted(index.tolist()) == [0, 1, 2]
+        for shape, at, off in zip(index.tolist(), points.numpy(), distance.numpy(), strict=True):
+            seen[batch, shape] = at
+            if shape == 0:
+                assert np.abs(off - to_torus(at, 1.0, 0.4)).max() < 1e-3
+            elif shape == 1:
+                assert np.abs(off - np.linalg.norm(at, axis=1) + 1.0).max() < 3e-3
+            else:
+                q = np.abs(at) - [0.8, 0.6, 0.4]
+                exact = np.linalg.norm(np.maximum(q, 0.0), axis=1) + np.minimum(q.max(axis=1), 0.0)
+                assert np.abs(off - exact).max() < 1e-7  # the file keeps float32
+    assert not np.array_equal(seen[0, 1], seen[1, 1])
+    assert np.abs(made.target.cpu().numpy() - to_torus(made.rows.cpu().numpy(), 1.0, 0.4)).max() < 1e-3
+
+
+@check
+def sequence(made: SimpleNamespace) -> None:
+    density, _ = module(ROOT / "data/samples/generate.py").smoke()
+    mass = density.sum() * 0.0625**3
+    assert made.missing == [4]
+    assert [row["frame"] for row in made.rows] == [1, 2, 3, 5, 6]
+    assert [row["mass"] for row in made.rows] == pytest.approx([mass * 0.9**n for n in (1, 2, 3, 5, 6)], rel=1e-3)
+    assert np.diff([row["height"] for row in made.rows]) == pytest.approx([0.4, 0.4, 0.8, 0.4], abs=1e-4)
+    assert all(row["largest error"] <= made.tolerance for row in made.rows)
+    assert len(list(Path("small").glob("*.nvdb"))) == 5
+
+
+@check
 def ocean(made: SimpleNamespace) -> None:
     assert made.depth[0] == pytest.approx(1.0 + 0.2 * np.sin(0.5), abs=1e-3)
     assert np.isinf(made.depth[1])
@@ -242,7 +286,7 @@ def ocean(made: SimpleNamespace) -> None:
 def test_guide(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from matplotlib import image
 
-    if name == "fit-shape":
+    if name in ("fit-shape", "loader"):
         pytest.importorskip("torch")
     monkeypatch.chdir(tmp_path)  # empty: a guide runs where no checkout is
     made: dict[str, object] = {}

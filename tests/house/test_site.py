@@ -18,13 +18,15 @@ from geokit import native
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
-PAGES = sorted(path for path in DOCS.rglob("*.md") if "design" not in path.parts)
+# Without those that building the site writes.
+ALL_PAGES = {path for path in DOCS.rglob("*.md") if path.parent.parent != DOCS / "api"}
+PAGES = sorted(path for path in ALL_PAGES if "design" not in path.parts)
 # Written for the site: their Python blocks run in one namespace. Blocks of other pages have tests of their own.
 RUN = ["conventions", "troubleshooting", "which/distances", "which/sign", "which/from-mesh", "which/meshing"]
 RUN += ["which/simplify", "gallery", "interop", "batch", "large-files"]
 # Of guides the results are checked too, in test_guides.py.
 GUIDES = ["hollow", "clearance", "smoke", "sdf-samples", "close-scan", "compare-scans", "as-built"]
-GUIDES += ["mask-to-mesh", "vdb-library", "granular", "fit-shape", "ocean"]
+GUIDES += ["mask-to-mesh", "vdb-library", "granular", "fit-shape", "ocean", "print-file", "loader", "sequence"]
 # What the pages call such objects.
 OBJECTS = {
     "mesh": geokit.mesh.TriangleMesh,
@@ -181,7 +183,7 @@ def conf() -> object:
 def test_every_page_is_in_the_site() -> None:
     """Each page stands in a toctree, and each toctree names pages."""
     reached: set[Path] = set()
-    for page in DOCS.rglob("*.md"):
+    for page in ALL_PAGES:
         for body in re.findall(r"^```\{toctree\}\n(.*?)^```", text_of(page), re.MULTILINE | re.DOTALL):
             for line in body.splitlines():
                 if not line or line.startswith(":"):
@@ -190,7 +192,7 @@ def test_every_page_is_in_the_site() -> None:
                 found = list(page.parent.glob(f"{entry}.md"))
                 assert found, f"{page.name}: {entry}"
                 reached.update(found)
-    assert reached | {DOCS / "index.md"} == set(DOCS.rglob("*.md"))
+    assert reached | {DOCS / "index.md"} == ALL_PAGES
 
 
 def test_the_reference_has_every_public_name() -> None:
@@ -201,6 +203,29 @@ def test_the_reference_has_every_public_name() -> None:
     for door in doors:
         listed = [name for _, names in made.sections(door) for name in names]
         assert sorted(listed) == sorted(importlib.import_module(f"geokit.{door}").__all__), door
+
+
+def test_each_public_name_is_on_one_page_and_long_classes_have_their_own() -> None:
+    made = conf()
+    for door in ("mesh", "volume", "points", "kernels", "threads"):
+        pages = made.api_pages(door)
+        names = [name for text in pages.values() for name in re.findall(rf":: geokit\.{door}\.(\w+)", text)]
+        assert sorted(names) == sorted(importlib.import_module(f"geokit.{door}").__all__), door
+        for page in set(pages) - {door}:
+            assert f"\n{page}\n" in pages[door]
+    alone = made.api_pages("mesh")["mesh/Surface"]
+    assert "closest_point, " in alone
+    assert alone.count(".. auto") == 1
+
+
+def test_the_index_for_models_has_every_page() -> None:
+    lines = conf().index_for_models().splitlines()
+    listed = [re.fullmatch(r" *- \[.+\]\((\S+)\.html\): \S.*", line) for line in lines[4:]]
+    assert all(listed), lines[4 + listed.index(None)]
+    names = [line[1] for line in listed if line]
+    wanted = {page.relative_to(DOCS).with_suffix("").as_posix() for page in ALL_PAGES} - {"index"}
+    assert sorted(names) == sorted(wanted)
+    assert lines[2].startswith("> Closest points, ray hits")
 
 
 def test_the_reference_has_the_queries_of_internal_bases() -> None:
