@@ -8,7 +8,6 @@ OUT.gif, and OUT.png of the last frame.
 """
 
 import argparse
-import itertools
 import tempfile
 import time
 from pathlib import Path
@@ -158,29 +157,12 @@ class Ocean:
             self.team.run(kernels.move_kernel, count, [self.w, self.s, self.b, STEP, self.lanes])
         self.time += STEPS * STEP
 
-    def pose(self, i):
-        """Where body i is, (4, 4), in float64."""
-        turn = wp.quatd(*self.b.turn.numpy()[i].tolist())
-        pose = np.eye(4)
-        pose[:3, :3] = np.array(wp.quat_to_matrix(wp.normalize(turn))).reshape(3, 3)
-        pose[:3, 3] = self.b.x.numpy()[i]
-        return pose
-
     def posed(self, i):
         """The mesh of body i where it is."""
-        return gk.mesh.transform(self.made[self.kind[i]].mesh, self.pose(i))
-
-    def touching(self):
-        """Depth [m] of the deepest point of each contact of two bodies, (N,): a call of many poses a pair of shapes."""
-        pose, near = np.array([self.pose(i) for i in range(len(self.kind))]), self.grid.candidates(exclude_self=True)
-        j, i = near.indices.numpy(), np.repeat(np.arange(len(pose)), np.diff(near.offsets.numpy()))
-        bodies = [gk.mesh.Surface(made.mesh, device=self.device) for made in self.made]
-        found = [np.zeros(0)]
-        for one, other in itertools.combinations_with_replacement(range(len(bodies)), 2):
-            pair = (self.kind[i] == one) & (self.kind[j] == other) & ((i < j) | (one != other))
-            seen = np.linalg.inv(pose[j[pair]]) @ pose[i[pair]]  # the first where the second stands still
-            found.append(bodies[one].contacts(bodies[other], transform=seen).depths[:, 0])
-        return np.concatenate(found)
+        pose = np.eye(4)
+        pose[:3, :3] = np.array(wp.quat_to_matrix(wp.quat(*self.b.turn.numpy()[i].tolist()))).reshape(3, 3)
+        pose[:3, 3] = self.b.x.numpy()[i]
+        return gk.mesh.transform(self.made[self.kind[i]].mesh, pose)
 
     def draw(self, path, size, segments=128):
         sheet, height = gk.mesh.plane((SIDE, SIDE), segments=segments), self.waves.height.numpy()[..., 0]
@@ -262,8 +244,6 @@ def main():
             args.out.with_suffix(".gif"), save_all=True, append_images=pictures[1:], duration=pause, loop=0
         )
     print(f"{len(x)} bodies, {ocean.time:.1f} s: {1.0 / np.median(spent):.0f} frames/s on {ocean.device}")
-    deep = ocean.touching()
-    print(f"{len(deep)} contacts of two bodies, the deepest {100 * deep.max(initial=0.0):.1f} cm")
 
 
 if __name__ == "__main__":

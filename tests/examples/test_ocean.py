@@ -209,11 +209,18 @@ def test_kernels_compile_for_sm_90(ocean, tmp_path):
 
 
 def test_contacts_of_bodies_are_as_deep_as_they_overlap(ocean):
-    x = [[0, 0, 20.0], [1.05, 0, 20.0], [9, 9, 20.0], [9, 9, 20.57]]  # two cubes, and a cube on a ball
+    touching = import_example("ocean_contacts").touching
+    x = [[0, 0, 20.0], [1.05, 0, 20.0], [9, 9, 20.0], [9, 9, 21.2]]  # two cubes, and a cube above a ball
     scene = calm(ocean, [(gk.mesh.box((1.0, 1.0, 1.0)), 0.5), (gk.mesh.sphere(0.6, segments=64), 0.5)], [0, 0, 1, 0], x)
-    assert len(scene.touching()) == 1
+    assert len(touching(scene)) == 0
     scene.b.x = type(scene.b.x)([[0, 0, 20.0], [0.95, 0, 20.0], [9, 9, 20.0], [9, 9, 20.97]], dtype=scene.b.x.dtype)
-    np.testing.assert_allclose(np.sort(scene.touching()), [0.05, 0.13], atol=1e-3)
+    np.testing.assert_allclose(np.sort(touching(scene)), [0.05, 0.13], atol=1e-3)
+
+
+@pytest.mark.slow
+def test_script_of_contacts(tmp_path):
+    options = ["--bodies", 12, "--seconds", 0.2, "--device", "cpu"]
+    assert "12 bodies, " in run_script(EXAMPLES / "ocean_contacts.py", *options, folder=tmp_path)
 
 
 @pytest.mark.slow
@@ -221,9 +228,7 @@ def test_script(tmp_path):
     from PIL import Image
 
     options = ["--bodies", 12, "--seconds", 0.2, "--every", 6, "--device", "cpu", "--out", "sea"]
-    said = run_script(EXAMPLES / "ocean.py", *options, folder=tmp_path)
-    assert "12 bodies" in said
-    assert "contacts of two bodies" in said
+    assert "12 bodies" in run_script(EXAMPLES / "ocean.py", *options, folder=tmp_path)
     with Image.open(tmp_path / "sea.png") as still:
         assert np.asarray(still.convert("RGB"), dtype=float).std() > 20.0
     with Image.open(tmp_path / "sea.gif") as moving:
