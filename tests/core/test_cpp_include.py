@@ -73,7 +73,7 @@ def test_lines_of_included_files_are_told_apart():
     text = tile_distances.native_snippet.splitlines()
     found = list(generated.regions(tile_distances.native_snippet))
     files = {region.path.rsplit("/")[-1] for region in found}
-    assert files == {"distances_cpu.inl", "simd.inl", "closest_on_triangle.inl"}
+    assert files == {"distances_cpu.inl", "simd.inl", "closest.inl"}
     for region in found:
         lines = (generated.ROOT / region.path).read_text(encoding="utf-8").splitlines()
         for k in range(region.count):

@@ -42,7 +42,7 @@ REFERENCE = 8
 # Words of a ray leaf: nine rows of eight 16-bit numbers, then the HEAD; see bvh8_leaves_cpu.inl.
 LEAF_WORDS = 48
 HEAD = 36
-# Ratio of a triangle's height to its longest edge, below which t is that of the plane; see ray_triangle.inl.
+# Ratio of a triangle's height to its longest edge, below which t is that of the plane; see ray.inl.
 SLIVER = np.float32(1e-3)
 # Rounding error of a ray across its direction, in local units: coordinates up to 2, differences up to 3, and slopes
 # times those, each rounded by 6e-8, add up to 1.3e-6 in the worst case.

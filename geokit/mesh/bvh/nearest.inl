@@ -4,7 +4,7 @@
 // evaluated in float64, where ties go to the lowest triangle. The answer is therefore the float64 one, whatever the
 // traversal order. With ANY_WITHIN a GPU accepts any triangle within the distance: the first in traversal order.
 #include "core/simd.inl"
-#include "mesh/triangle/closest_on_triangle.inl"
+#include "mesh/triangle/closest.inl"
 #include "mesh/bvh/bvh2.inl"
 
 #if defined(__CUDA_ARCH__)

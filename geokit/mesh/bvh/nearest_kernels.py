@@ -8,9 +8,9 @@ import warp as wp
 from geokit.core import cpp
 from geokit.mesh.bvh.bvh2_cuda_kernels import NODE_CONSTANTS
 from geokit.mesh.bvh.bvh8_build_cpu_kernels import STACK
-from geokit.mesh.triangle.closest_on_triangle_kernels import SLIVER_SINE_SQUARED, closest_on_triangle, offset_from_triangle
 from geokit.mesh.bvh.leaf_planes_kernels import PLANE_ROWS
 from geokit.mesh.bvh.tree_kernels import BOX_PADDING, SurfaceTree
+from geokit.mesh.triangle.closest_kernels import SLIVER_SINE_SQUARED, closest_on_triangle, offset_from_triangle
 
 wp.set_module_options({"enable_backward": False})
 

@@ -4,7 +4,7 @@
 // does not, and is decided in float64 together with the other candidates. With ANY_HIT a triangle that the ray hits
 // well inside, and well within its length, ends the whole search; the widest triangles are tested before the tree.
 #include "mesh/bvh/bvh2.inl"
-#include "mesh/triangle/ray_triangle.inl"
+#include "mesh/triangle/ray.inl"
 
 struct alignas(16) Four {
     float x, y, z, w;

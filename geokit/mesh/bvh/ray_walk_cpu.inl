@@ -23,7 +23,7 @@
 // edges and the errors of the three functions are within four margins. For slivers that says little, and the corners
 // decide.
 #include "core/simd.inl"
-#include "mesh/triangle/ray_triangle.inl"
+#include "mesh/triangle/ray.inl"
 
 #if !defined(__CUDA_ARCH__)
 // One instruction each; the built-in functions take more, because they must prefer a number to NaN.

@@ -2,7 +2,7 @@
 //
 // Warp's own ray query tests unpadded boxes and leaks thousands of rays per million that aim at edges and vertices.
 #include "mesh/bvh/bvh2.inl"
-#include "mesh/triangle/ray_triangle.inl"
+#include "mesh/triangle/ray.inl"
 
 #if defined(__CUDA_ARCH__)
 // The ray with number `begin`; the other arguments are those of walk_rays in ray_walk_cpu.inl.

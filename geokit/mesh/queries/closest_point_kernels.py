@@ -6,9 +6,9 @@ import warp as wp
 
 from geokit.core.interop.user_arrays_kernels import is_measurable
 from geokit.core.morton_order_kernels import prefetch_query
-from geokit.mesh.triangle.closest_on_triangle_kernels import closest_on_triangle, offset_from_triangle
 from geokit.mesh.bvh.nearest_kernels import nearest_slot
 from geokit.mesh.bvh.tree_kernels import SurfaceTree
+from geokit.mesh.triangle.closest_kernels import closest_on_triangle, offset_from_triangle
 
 # Without fused multiply-adds a GPU gives the same bits as a CPU, and the same ties between triangles.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})

@@ -4,8 +4,8 @@
 #include "core/atomic.inl"
 #include "core/simd.inl"
 #include "mesh/bvh/bvh2.inl"
-#include "mesh/triangle/closest_on_triangle.inl"
-#include "mesh/triangle/triangle_pair.inl"
+#include "mesh/triangle/closest.inl"
+#include "mesh/triangle/pair.inl"
 
 static constexpr auto vertex_gap = [](const point& p, const point* u, point& y) {
     const point ab = u[1] - u[0], ac = u[2] - u[0];

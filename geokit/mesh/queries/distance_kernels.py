@@ -9,10 +9,10 @@ from geokit.core import cpp
 from geokit.core.atomic_kernels import lower_to
 from geokit.mesh.bvh.bvh2_cuda_kernels import NODE_CONSTANTS
 from geokit.mesh.bvh.bvh8_build_cpu_kernels import STACK
-from geokit.mesh.triangle.closest_on_triangle_kernels import SLIVER_SINE_SQUARED, closest_on_triangle, offset_from_triangle
 from geokit.mesh.bvh.nearest_kernels import nearest_slot
 from geokit.mesh.bvh.tree_kernels import BOX_PADDING, SurfaceTree
 from geokit.mesh.queries.intersecting_kernels import PAIR_CONSTANTS
+from geokit.mesh.triangle.closest_kernels import SLIVER_SINE_SQUARED, closest_on_triangle, offset_from_triangle
 
 # Without fused multiply-adds a GPU gives the same bits as a CPU, and so the same pair.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})

@@ -10,7 +10,7 @@ cut at the point equally far from both triangles: each half then has one of them
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.mesh.triangle.closest_on_triangle_kernels import closest_on_triangle, offset_from_triangle
+from geokit.mesh.triangle.closest_kernels import closest_on_triangle, offset_from_triangle
 
 # Without fused multiply-adds a GPU gives the same bits as a CPU, and the same cuts.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})

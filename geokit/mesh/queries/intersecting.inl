@@ -1,6 +1,6 @@
 // Pairs of intersecting triangles for one item: a leaf of eight slots on a CPU, one slot on CUDA.
 #include "mesh/bvh/box_walk.inl"
-#include "mesh/triangle/triangle_pair.inl"
+#include "mesh/triangle/pair.inl"
 
 // Calls test(slot, other) with a slot of `surface` and one of `tree` whose boxes are no farther apart than `margin`
 // [world]. Pairs of a surface with itself are visited once, from the lower slot.

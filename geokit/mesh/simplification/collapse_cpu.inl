@@ -1,5 +1,5 @@
 // Edge collapse by quadric errors: see collapse_cpu_kernels.
-#include "mesh/triangle/closest_on_triangle.inl"
+#include "mesh/triangle/closest.inl"
 
 // Faces and neighbors of a vertex, and how many of the faces each neighbor has.
 struct Ring {

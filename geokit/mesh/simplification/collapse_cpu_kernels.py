@@ -5,7 +5,7 @@
 import warp as wp
 
 from geokit.core import cpp
-from geokit.mesh.triangle.closest_on_triangle_kernels import SLIVER_SINE_SQUARED
+from geokit.mesh.triangle.closest_kernels import SLIVER_SINE_SQUARED
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 

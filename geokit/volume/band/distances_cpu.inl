@@ -4,7 +4,7 @@
 // that can be nearest to one of its voxels, and each voxel tests the few that its neighbor's distance leaves possible.
 // As in the search for single points, float32 only selects candidates; float64 evaluates them.
 #include "core/simd.inl"
-#include "mesh/triangle/closest_on_triangle.inl"
+#include "mesh/triangle/closest.inl"
 
 // Returns 0, or 1 if the tile must be searched voxel by voxel.
 static constexpr auto tile_distances = [](const SurfaceTree& tree, const wp::vec3i& voxel, const wp::vec3d& translation,

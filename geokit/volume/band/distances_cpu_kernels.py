@@ -10,10 +10,10 @@ import warp as wp
 
 from geokit.core import cpp
 from geokit.mesh.bvh.bvh8_build_cpu_kernels import STACK
-from geokit.mesh.triangle.closest_on_triangle_kernels import SLIVER_SINE_SQUARED
 from geokit.mesh.bvh.leaf_planes_kernels import PLANE_ROWS
 from geokit.mesh.bvh.nearest_kernels import DISTANCE_ERROR, FAR, UNBOUNDED, distance_from_slot, nearest_slot
 from geokit.mesh.bvh.tree_kernels import SurfaceTree
+from geokit.mesh.triangle.closest_kernels import SLIVER_SINE_SQUARED
 
 # Unfused, float64 distances have the bits of every other search; float32 is fused where the C++ text says so.
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})

@@ -4,11 +4,11 @@
 # Annotations of kernels are warp's, not Python's.
 import warp as wp
 
-from geokit.mesh.triangle.closest_on_triangle_kernels import closest_on_triangle, offset_from_triangle
 from geokit.mesh.bvh.nearest_kernels import nearest_slot
 from geokit.mesh.bvh.tree_kernels import SurfaceTree
 from geokit.mesh.bvh.winding_kernels import WindingTree, is_inside
 from geokit.mesh.sign.pseudonormals_kernels import Pseudonormals, pseudonormal
+from geokit.mesh.triangle.closest_kernels import closest_on_triangle, offset_from_triangle
 from geokit.volume.band.signs_kernels import set_in_row, unset_in_row, voxel_position
 
 # Unfused, a GPU gives the same bits as a CPU, and ties between triangles resolve alike.

@@ -14,7 +14,7 @@ SLIVER_SINE_SQUARED = 1.0e-4
 
 
 @cpp.func_native(
-    "mesh/triangle/closest_on_triangle.inl", function="barycentric_of_closest", SLIVER_SINE_SQUARED=SLIVER_SINE_SQUARED
+    "mesh/triangle/closest.inl", function="barycentric_of_closest", SLIVER_SINE_SQUARED=SLIVER_SINE_SQUARED
 )
 def closest_on_triangle(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.vec3d:
     """Barycentric coordinates of the point of the triangle abc that is closest to p.
