@@ -85,9 +85,10 @@ def collapsed(
 
     corner, limited = mesh.faces.reshape(-1), np.ndim(limit) > 0 or math.isfinite(limit)
     limits = np.array(np.broadcast_to(limit, faces if limited else 0))
-    is_first, past = past is not None and not past.rounds, past or Past(mesh)
+    # What is fixed later may have gone in an early round.
+    is_first, past = past is not None and not past.rounds and fixed is None, past or Past(mesh)
     stays = np.zeros(vertices, np.bool_) if fixed is None else fixed
-    if past.early[LATE:] and not stays.any() and limited and limits.min() > EARLY * limits.max():
+    if past.early[LATE:] and limited and limits.min() > EARLY * limits.max():
         arrays, repeated = past.early[-1 - LATE]
         hold(**(arrays | {name: arrays[name].copy() for name in CHANGED}))
     else:
