@@ -648,7 +648,8 @@ def test_surface_follows_the_transform_in_double(tmp_path: Path, name: str) -> N
 @pytest.mark.slow
 @needs_openvdb
 def test_surface_of_a_double_grid_and_of_others(tmp_path: Path) -> None:
-    assert native.volume_to_mesh(make_buffer("double"), isovalue=0.1).points.shape[1] == 3
+    # Of random tiles most of a hundred million faces are near 0.
+    assert native.volume_to_mesh(make_buffer("double"), isovalue=2.0).points.shape[1] == 3
     with pytest.raises(UnsupportedGridError, match="vec3s"):
         native.volume_to_mesh(make_buffer("vec3f"))
     with pytest.raises(InputError, match="isovalue"):
