@@ -11,6 +11,7 @@ from benchmarks import scenes
 from benchmarks.catalog.mesh_catalog import l_profile
 from geokit.errors import InputError
 from geokit.mesh import TriangleMesh, audit, box, cylinder, plane, sphere, torus, wrap
+from geokit.mesh.volumes import wrap as wrapping
 from tests.support.assemblies import concatenated, turned
 
 TRIMESH = pytest.importorskip("trimesh")
@@ -273,3 +274,20 @@ def test_edges_are_edges_again_within_the_tolerance(make) -> None:
     assert cKDTree(there).query(asked)[0].max() < tolerance
     # Those of the wrap are no others.
     assert cKDTree(asked).query(there)[0].max() < 1.5 * tolerance
+
+
+def test_merging_goes_on_where_a_face_is_wrong_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also once all vertices beside it stay: those farther away stay then, not all."""
+    ball, place, calls = sphere(1.0, segments=48), np.array([[0.3, 0.4, 0.9]]), []
+    expected = wrap(ball, tolerance=0.06, device="cpu").mesh.face_count
+    real = wrapping._wrong
+
+    def wrong(found, source, offset):
+        there = gk.mesh.Surface(found, device="cpu").closest_point(place).triangle_id
+        calls.append(len(calls))
+        return real(found, source, offset) | (np.isin(np.arange(found.face_count), there) & (2 <= calls[-1] < 8))
+
+    monkeypatch.setattr(wrapping, "_wrong", wrong)
+    found = wrap(ball, tolerance=0.06, device="cpu")
+    assert len(calls) > 10
+    assert found.mesh.face_count < 1.5 * expected + 50
