@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from geokit._warn import warn
 from geokit.core.files import in_one_line
 from geokit.errors import FileFormatError, InputError
+from geokit.formats.text_files.words import as_number
 
 __all__ = ["AXES", "Columns", "by_place", "first_rays", "integer_colors", "joined", "split"]
 
@@ -98,7 +99,7 @@ def split(points: NDArray[np.float64], data: Mapping[str, NDArray[np.generic]], 
     """One column for each number of a point, with names that the format can hold.
 
     Raises:
-        InputError: A name is repeated or contains a character that separates columns.
+        InputError: A name is repeated, contains a character that separates columns, or is a number in .csv.
     """
     columns: Columns = dict(zip(AXES, points.T, strict=True))
     for name, array in data.items():
@@ -110,7 +111,9 @@ def split(points: NDArray[np.float64], data: Mapping[str, NDArray[np.generic]], 
         else:
             parts = tuple(f"{name}_{at}" for at in range(array.shape[1]))
         for part, column in zip(parts, array.reshape(len(array), len(parts)).T, strict=True):
-            if part in columns or not part.isascii() or any(sign in part for sign in ' ,;"#\t\r\n') or not part:
+            # Readers of .csv take a line with a number in it for a row, not for names.
+            unread = not part or not part.isascii() or (kind == ".csv" and as_number(part) is not None)
+            if part in columns or unread or any(sign in part for sign in ' ,;"#\t\r\n'):
                 raise InputError(f"data: '{part}' is taken or cannot be a column's name in {kind}; rename '{name}'")
             columns[part] = column
     return columns

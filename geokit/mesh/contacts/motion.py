@@ -89,14 +89,14 @@ class MotionQueries(ContactQueries):
         error = CONTACT_ERROR * (self._frame.scale + other._frame.scale) + 4e-15 * np.abs(center).max(initial=0.0)
         time, separation = np.zeros(len(path)), np.full(len(path), np.inf)
         moving = np.arange(len(path))
-        for _ in range(STEPS):
+        for step in range(STEPS + 1):
             at = time[moving, None]
             poses = np.tile(np.eye(4), (len(moving), 1, 1))
             poses[:, :3, :3] = first[moving] @ _turned_by(axis[moving], angle[moving] * at[:, 0])
             poses[:, :3, 3] = center[moving, 0] + at * along[moving] - poses[:, :3, :3] @ self._frame.origin
             separation[moving] = self.distance(other, transform=poses).distance
             moving = moving[(separation[moving] > near) & (time[moving] < 1.0)]
-            if not len(moving):
+            if not len(moving) or step == STEPS:
                 break
             ahead = np.maximum(separation[moving] - error, 0.0)
             room = (1.0 - time[moving]) * speed[moving]

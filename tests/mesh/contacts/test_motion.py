@@ -44,6 +44,15 @@ def test_contact_from_the_beginning():
     assert one.until_contact(one, motion=np.stack([pose(), pose([3, 0, 0])])) == (0.0, 0.0)
 
 
+def test_the_separation_is_that_at_the_time_when_steps_run_out():
+    """A box glides 1 down while it moves 1000 along a floor: 1000 steps do not reach it."""
+    floor = surface(gk.mesh.box((4000, 4000, 1), center=(0, 0, -0.5)))
+    motion = np.stack([pose([0, 0, 0.51]), pose([1000, 0, -0.49])])
+    found = surface(UNIT).until_contact(floor, motion=motion, tolerance=1e-9)
+    assert 0.005 < found.time < 0.01
+    assert found.separation == pytest.approx(0.01 - found.time, abs=1e-8)
+
+
 @pytest.mark.parametrize("degrees", [90.0, 179.9, 180.0, 1e-4])
 def test_a_turning_bar(degrees):
     """A bar turns about its center towards a wall beside it: its corner touches at an angle of arcsine."""
