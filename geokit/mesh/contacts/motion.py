@@ -77,15 +77,13 @@ class MotionQueries(ContactQueries):
             raise InputError(f"tolerance: {tolerance} is not a distance; give a finite number above 0")
         first, last = path[:, 0, :3, :3], path[:, 1, :3, :3]
         if (mirrors := np.linalg.det(first) * np.linalg.det(last) < 0.0).any():
-            raise InputError(
-                f"motion: {int(np.argmax(mirrors))} turns into its mirror image; give two poses that do not"
-            )
+            raise InputError(f"motion: {int(mirrors.argmax())} turns into its mirror image; give two poses that do not")
         other = require_surface(self, other)  # type: ignore[assignment]
         axis, angle = _turn(first.transpose(0, 2, 1) @ last)
         center = path[..., :3, :3] @ self._frame.origin + path[..., :3, 3]
         along = center[:, 1] - center[:, 0]
         radius = self.furthest_point(self._frame.origin[None]).distance
-        speed = (np.linalg.norm(along, axis=1) + angle * radius) * (1.0 + 10.0 * RIGID)
+        speed = (np.hypot.reduce(along, axis=1) + angle * radius) * (1.0 + 10.0 * RIGID)
         error = CONTACT_ERROR * (self._frame.scale + other._frame.scale) + 4e-15 * np.abs(center).max(initial=0.0)
         time, separation = np.zeros(len(path)), np.full(len(path), np.inf)
         moving = np.arange(len(path))

@@ -113,3 +113,8 @@ def test_no_motions():
 def test_refuses(options, message):
     with pytest.raises(gk.errors.InputError, match=message):
         surface(UNIT).until_contact(**{"other": surface(UNIT), **options})
+
+
+def test_a_motion_beyond_all_numbers_is_free_for_no_time_that_could_be_told():
+    one = surface(UNIT)
+    assert one.until_contact(one, motion=np.stack([pose([5, 0, 0]), pose([1e300, 0, 0])])) == (0.0, 4.0)
