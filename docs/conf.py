@@ -202,16 +202,16 @@ def index_for_models() -> str:
     lines, done = ["# geokit", "", f"> {summary}", ""], set()
 
     def add(page: Path, level: int) -> None:
+        if page in done:  # a pattern names those beside it, too
+            return
+        done.add(page)
         name = page.relative_to(DOCS).with_suffix("").as_posix()
         text = root_page(name) if name in ROOT_PAGES else page.read_text(encoding="utf-8")
-        if page not in done and not done.add(page):
+        door = re.fullmatch(r"api/(?!index)(\w+)", name)
+        said = first_line(importlib.import_module(f"geokit.{door[1]}")) if door else first_sentence(text)
+        if name != "index":
             title = re.search(r"^# (.*)", text, re.MULTILINE)[1]
-            door = re.fullmatch(r"api/(\w+)", name)
-            said = first_sentence(text)
-            if door and door[1] != "index":
-                said = first_line(importlib.import_module(f"geokit.{door[1]}"))
-            if name != "index":
-                lines.append(f"{'  ' * level}- [{title}]({name}.html): {said}")
+            lines.append(f"{'  ' * level}- [{title}]({name}.html): {said}")
         for body in re.findall(r"^```\{toctree\}\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
             for entry in (line for line in body.splitlines() if line and not line.startswith(":")):
                 for child in sorted(page.parent.glob(re.sub(r"^.*<(.*)>$", r"\1", entry) + ".md")):

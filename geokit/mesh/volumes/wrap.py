@@ -199,9 +199,7 @@ def _outer(mesh: TriangleMesh, cavities: bool) -> tuple[TriangleMesh, int]:
     _, first, label = np.unique(face_parts(mesh), return_index=True, return_inverse=True)
     label, held = label.reshape(-1), np.zeros(len(first), bool)
     # Pieces do not cross. So one face of each says whether it is inside of the one farthest out, as of many most are.
-    of_vertex = np.full(mesh.vertex_count, -1)
-    of_vertex[mesh.faces.reshape(-1)] = label.repeat(3)
-    outside = of_vertex[mesh.vertices[:, 0].argmin()]
+    outside = label[mesh.vertices[mesh.faces, 0].min(axis=1).argmin()]
     some = label == outside
     some[first] = True
     for whole in (False, True):
