@@ -153,7 +153,7 @@ def hausdorff(
         require_measurable(surface.mesh, surface._frame)
     corners = np.concatenate([mesh.bounds for mesh in meshes])
     drawn = [_samples(mesh, samples, seed) for mesh in meshes]
-    diagonal = float(np.linalg.norm(corners.max(axis=0) - corners.min(axis=0)))
+    diagonal = math.dist(corners.min(axis=0), corners.max(axis=0))
     size = float(np.abs(corners).max())
     gap = max(tolerance * diagonal, LEAST_TOLERANCE * diagonal, COORDINATE_ROUNDINGS * size)
     a_to_b = _directed(meshes[0], drawn[0], second, gap, WITNESS_ROUNDINGS * size)

@@ -291,7 +291,7 @@ class _Original:
         from geokit.mesh._hausdorff import hausdorff
 
         corners = np.concatenate([self.local.bounds, getattr(found, "mesh", found).bounds])
-        diagonal = float(np.linalg.norm(corners.max(axis=0) - corners.min(axis=0)))
+        diagonal = math.dist(corners.min(axis=0), corners.max(axis=0))
         return hausdorff(self.surface, found, tolerance=width / diagonal, samples=0, device=self.device).upper
 
     def result(self, found: TriangleMesh, width: float, most: float) -> Simplified:

@@ -2,11 +2,18 @@
 //
 // warp has no barrier between threads of a CPU, since it has no such threads. The last to arrive opens the next round,
 // which the others wait for; counter and round lie in cache lines of their own. A thread that has waited in vain for
-// long, since there are more threads than processors, lets others run. A kernel's text cannot include headers:
-// sched_yield, which is POSIX, is declared by its name in the library.
+// long, since there are more threads than processors, lets others run. A kernel's text cannot include headers: the
+// function that does so is declared by its name in the libraries of the system.
+#if defined(_WIN32)
+    #define GEOKIT_YIELD "SwitchToThread"
+#elif defined(__APPLE__)
+    #define GEOKIT_YIELD "_sched_yield"
+#else
+    #define GEOKIT_YIELD "sched_yield"
+#endif
 static constexpr auto barrier = [](const Share& share) {
     if (share.threads > 1) {
-        extern int geokit_yield() __asm__("sched_yield");
+        extern int geokit_yield() __asm__(GEOKIT_YIELD);
         int* const arrived = share.meeting.data;
         int* const round = share.meeting.data + 32;
         const int now = __atomic_load_n(round, __ATOMIC_RELAXED);
@@ -21,7 +28,7 @@ static constexpr auto barrier = [](const Share& share) {
     #if defined(__x86_64__)
                     __builtin_ia32_pause();
     #elif defined(__aarch64__)
-                    __asm__ __volatile__("yield");
+                    __builtin_arm_yield();
     #endif
                 }
             }

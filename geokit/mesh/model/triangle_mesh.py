@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -210,8 +211,7 @@ class TriangleMesh:
     @property
     def diagonal(self) -> float:
         """Length of the bounding box's diagonal [world]; NaN for a mesh without faces."""
-        lower, upper = self.bounds
-        return float(np.linalg.norm(upper - lower))
+        return math.dist(*self.bounds)
 
     @property
     def area(self) -> float:
