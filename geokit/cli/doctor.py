@@ -15,6 +15,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from geokit.cli._program.console import note, plain, print_facts, print_json, print_table, step
+from geokit.core.base.late_warp import wp
 
 __all__ = ["doctor"]
 
@@ -127,8 +128,6 @@ def _machine() -> dict[str, Any]:
     from geokit.core.compiled import cpu_level, shipped
 
     cpu = launcher.resolve_device("cpu")
-    import warp as wp
-
     facts: dict[str, Any] = {"system": platform.platform(), "cpu threads": launcher.thread_count(), "cpu": cpu.name}
     for alias in launcher.cuda_devices():
         device = wp.get_device(alias)

@@ -4,7 +4,6 @@ Warp's own are plain reads and writes there, where geokit runs a launch in sever
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

@@ -10,19 +10,17 @@ from __future__ import annotations
 import contextlib
 import threading
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from geokit.core import launcher
 from geokit.core.base.forks import renew_after_fork
+from geokit.core.base.late_warp import wp
 from geokit.core.launches import captured
 from geokit.core.memory.host_array import row_of
 from geokit.core.memory.memory_pool import MemoryPool
 from geokit.core.running.thread_placement import Calls
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["bytes_of", "download", "download_into", "release"]
 
@@ -51,8 +49,6 @@ PATIENCE = 5
 
 
 def _host_bytes(size: int, *, pinned: bool = True) -> tuple["wp.array", int]:
-    import warp as wp
-
     memory = wp.empty(size, dtype=wp.uint8, device="cpu", pinned=pinned)
     return memory, int(memory.ptr or 0)
 
@@ -75,8 +71,6 @@ def download(*arrays: "wp.array") -> list[np.ndarray]:
 
 def download_into(target: np.ndarray, array: "wp.array") -> None:
     """Copy a contiguous array into a contiguous NumPy array of the same number of bytes."""
-    import warp as wp
-
     if array.device.is_cuda and target.nbytes >= SMALLEST_STAGED and _through_stage((array,), [target]):
         return
     memory = target.reshape(-1).view(np.uint8)
@@ -110,8 +104,6 @@ def _if_free(lock: threading.Lock) -> Iterator[bool]:
 
 def _download_pooled(arrays: tuple["wp.array", ...], pool: MemoryPool) -> list[np.ndarray] | None:
     """Copy straight into the pool's pinned memory; None if the pool has no room."""
-    import warp as wp
-
     rows = [row_of(array.dtype) for array in arrays]
     pooled = [pool.empty((*array.shape, *row.shape[1:]), row.dtype) for array, row in zip(arrays, rows, strict=True)]
     results = [pair for pair in pooled if pair is not None]
@@ -174,8 +166,6 @@ class _Half:
     """One half of the staging memory, the pieces it holds, and the jobs that empty it."""
 
     def __init__(self, device: "wp.Device") -> None:
-        import warp as wp
-
         self._memory = wp.empty(HALF_BYTES, dtype=wp.uint8, device="cpu", pinned=device.is_cuda)
         self._values = self._memory.numpy()
         self._filled: Any = wp.Event(device) if device.is_cuda else None
@@ -185,8 +175,6 @@ class _Half:
 
     def fill(self, arrays: Any, results: list[np.ndarray], pieces: list[tuple[int, int, int]]) -> None:
         """Start copying the pieces (array, first byte, bytes) into this half."""
-        import warp as wp
-
         at = 0
         for number, start, size in pieces:
             wp.copy(self._memory, bytes_of(arrays[number], start, size), at, 0, size)
@@ -197,8 +185,6 @@ class _Half:
 
     def empty(self) -> None:
         """Wait until the half is filled, then copy its pieces to the results; the calling thread takes a share."""
-        import warp as wp
-
         if not self._parts:
             return
         if self._filled is not None:
@@ -244,8 +230,6 @@ def _pieces(sizes: list[int]) -> Iterator[list[tuple[int, int, int]]]:
 
 def bytes_of(array: "wp.array", start: int, size: int) -> "wp.array":
     """View ``size`` bytes of a contiguous array; the whole may exceed warp's limit of 2^31 elements."""
-    import warp as wp
-
     return wp.array(ptr=int(array.ptr or 0) + start, dtype=wp.uint8, shape=(size,), device=array.device)
 
 

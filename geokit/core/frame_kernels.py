@@ -1,7 +1,6 @@
 """Boxes around points, and points in the local frame of a surface."""
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 wp.set_module_options({"enable_backward": False})

@@ -17,8 +17,9 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from geokit.core.base.late_warp import wp
 from geokit.core.base.private_folder import OTHERS, distrust, make_own, remove_folder, require_trusted, temporary_parent
 from geokit.core.base.system import limits
 from geokit.core.compiled import cpu_level, shipped
@@ -27,9 +28,6 @@ from geokit.core.launches import warp_private
 from geokit.core.memory.available_memory import available_host
 from geokit.core.memory.needs import is_out_of_memory, require_free
 from geokit.errors import DeviceMemoryError, FileAccessError, InputError
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["initialize", "load"]
 
@@ -187,8 +185,6 @@ def _keep(record: Path, text: str) -> None:
 
 def _cure(module: Any, block_dim: int, error: Exception) -> None:
     """Make room for another attempt, or raise the error again."""
-    import warp as wp
-
     folder = warp_private.module_folder(module, block_dim)
     is_refused = isinstance(error, InputError) or getattr(error, "errno", None) in UNUSABLE
     if is_refused or _is_full(Path(str(wp.config.kernel_cache_dir))):

@@ -11,19 +11,17 @@ import logging
 import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from geokit.core import kernel_cache
 from geokit.core.base.forks import register_at_fork
+from geokit.core.base.late_warp import wp
 from geokit.core.launches import prepared, warp_private
 from geokit.core.memory import needs
 from geokit.core.memory.unchecked import sort_pairs
 from geokit.core.require import described
 from geokit.core.running.thread_placement import Pool
 from geokit.errors import InputError
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = [
     "ALL_GPUS", "compile_notice", "cuda_devices", "device_or_default", "identity", "is_several", "launch",

@@ -4,7 +4,6 @@ As stable as one sort of all keys, so that the order is the same for any number 
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

@@ -1,7 +1,6 @@
 """Morton keys: queries that are near each other in space are answered one soon after the other."""
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 wp.set_module_options({"enable_backward": False})

@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core.base.late_warp import wp
 from geokit.core.launches import warp_private
 from geokit.errors import InputError
 
@@ -294,11 +295,9 @@ def require_unrecorded(values: Any, name: str) -> None:
     Raises:
         InputError: ``values`` is such an array.
     """
-    if getattr(values, "requires_grad", False) is True and warp_private.tape_in_progress() is not None:
-        import warp as wp
-
-        if isinstance(values, wp.array):
-            raise refuse_recording(name)
+    is_recorded = getattr(values, "requires_grad", False) is True and warp_private.tape_in_progress() is not None
+    if is_recorded and isinstance(values, wp.array):
+        raise refuse_recording(name)
 
 
 def refuse_recording(name: str) -> InputError:

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.memory.pinned import host_arrays
-
-if TYPE_CHECKING:
-    import warp as wp
-
 
 __all__ = ["flagged", "gathered", "prefix_sum", "prefix_sum_async", "row_offsets"]
 
@@ -25,8 +22,6 @@ def prefix_sum(counts: "wp.array") -> tuple["wp.array", int]:
 
 def prefix_sum_async(counts: "wp.array") -> tuple["wp.array", Callable[[], int]]:
     """Inclusive prefix sum of int32 counts, and a function that waits for the total and returns it."""
-    import warp as wp
-
     from geokit.core.scan_kernels import last_kernel
 
     device = counts.device
@@ -43,8 +38,6 @@ def prefix_sum_async(counts: "wp.array") -> tuple["wp.array", Callable[[], int]]
 
 def flagged(flag: "wp.array") -> "wp.array":
     """Numbers of the items whose flag, int32 (N,), is not 0, ascending."""
-    import warp as wp
-
     from geokit.core.scan_kernels import flagged_kernel
 
     ends, count = prefix_sum(flag)
@@ -55,8 +48,6 @@ def flagged(flag: "wp.array") -> "wp.array":
 
 def gathered(rows: "wp.array", index: "wp.array", count: int | None = None) -> "wp.array":
     """The rows (vec3d, vec3f, vec3i, int32 or int64) of some numbers, or of the first of them, in their order."""
-    import warp as wp
-
     from geokit.core.sorting.gather_kernels import GATHER
 
     count = len(index) if count is None else count
@@ -67,8 +58,6 @@ def gathered(rows: "wp.array", index: "wp.array", count: int | None = None) -> "
 
 def row_offsets(counts: Any) -> "wp.array":
     """Beginning of each row and the end of the last one, int64 (N + 1,), for int32 counts (N,) of rows in CSR form."""
-    import warp as wp
-
     from geokit.core.scan_kernels import widen_kernel
 
     device = counts.device

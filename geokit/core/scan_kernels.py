@@ -1,7 +1,6 @@
 """Around a prefix sum on a device: wider counts, the total, flagged items, and the part that an item belongs to."""
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

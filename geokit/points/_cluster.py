@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.interop.types import Array, Device, Rows
 from geokit.core.interop.user_arrays import read_vectors, require_finite_scalar
 from geokit.core.memory.needs import needs, rows
@@ -47,8 +48,6 @@ def cluster(points: Rows, *, radius: float, minimum_count: int = 5, device: Devi
         >>> gk.points.cluster(line, radius=1.0, minimum_count=3, device="cpu").tolist()
         [0, 0, 0, -1]
     """
-    import warp as wp
-
     from geokit.points.clouds import cluster_kernels as kernels
 
     minimum_count = require_count(minimum_count, "minimum_count", 1)

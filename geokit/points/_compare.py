@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.gradients.differentiable import library_of
 from geokit.core.gradients.rules import is_on_tape, is_tracked
 from geokit.core.interop.types import Array, Device, Rows
@@ -19,9 +20,6 @@ from geokit.core.require import described
 from geokit.errors import InputError
 from geokit.points.search.groups import read_offsets
 from geokit.points.search.nearest import build_tree, nearest
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["ChamferDistance", "DirectedDistance", "HausdorffDistance", "chamfer", "hausdorff"]
 
@@ -182,8 +180,6 @@ def _on_tape(found: Any, offsets: Sequence[NDArray[np.int64]], of: Callable[...,
     ``pull(slopes, ways)`` gives the slopes of maximum, mean and root mean square of both ways, from those of the
     numbers of both together.
     """
-    import warp as wp
-
     from geokit.core.gradients import on_tape
 
     half = len(found) // 2
@@ -234,8 +230,6 @@ def _clouds(a: Any, b: Any, device: Any) -> list[Any]:
 
 
 def _chamfer_of_groups(a: Any, b: Any, groups: Any, device: Any) -> ChamferDistance:
-    import warp as wp
-
     if not isinstance(groups, (tuple, list)) or len(groups) != 2:
         raise InputError(f"groups: {described(groups)} is not a pair; give the offsets of a and those of b")
     target = launcher.resolve_device(device)
@@ -294,8 +288,6 @@ class _BetweenGroups(NamedTuple):
 
 @query(inputs=("a", "b"), gradient=".gradients.distances:BETWEEN_GROUPS", name="a, b")
 def _between_groups(a: Any, b: Any, offsets: Any, device: Any) -> _BetweenGroups:
-    import warp as wp
-
     target = launcher.resolve_device(device)
     batches = [read_vectors(points, name, target) for points, name in ((a, "a"), (b, "b"))]
     found: list[Any] = []

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.interop.types import Array, Device, Rows
 from geokit.core.interop.user_arrays import read_numbers, require_finite_scalar
 from geokit.core.memory.needs import rows
@@ -80,8 +81,6 @@ def density(
         >>> around.round(12).tolist()
         [0.5, 0.5]
     """
-    import warp as wp
-
     from geokit.points.clouds import density_kernels as kernels
 
     require_choice(kernel, "kernel", KERNELS)

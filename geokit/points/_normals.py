@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.interop.types import Array, Device, Rows
 from geokit.core.interop.user_arrays import read_vectors, require_finite_scalar
 from geokit.core.memory.needs import needs, rows
@@ -17,9 +18,6 @@ from geokit.points.clouds.orientation import propagate_signs
 from geokit.points.neighbors.neighbor_grid import NeighborGrid
 from geokit.points.search.nearest import MAX_K, nearest
 from geokit.points.search.nearest_tree import build_tree
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["PointNormals", "normals", "planes", "turn_towards"]
 
@@ -132,8 +130,6 @@ def planes(
     rows: "wp.array", k: int, radius: float | None, device: "wp.Device", *, graph_too: bool = False
 ) -> tuple["wp.array", "wp.array", "_Graph | None"]:
     """Normals and curvatures of vec3d points, unoriented, and the graph where the nearest points are used."""
-    import warp as wp
-
     from geokit.points.clouds import normals_kernels as kernels
 
     count = len(rows)
@@ -151,8 +147,6 @@ def planes(
 
 def turn_towards(normal: "wp.array", rows: "wp.array", viewpoint: list[float], device: "wp.Device") -> None:
     """Turn the normals of vec3d points towards a viewpoint."""
-    import warp as wp
-
     from geokit.points.clouds import normals_kernels as kernels
 
     launcher.launch(kernels.towards_kernel, len(rows), [rows, wp.vec3d(*viewpoint)], [normal], device)
@@ -175,8 +169,6 @@ class _Graph(NamedTuple):
 
 
 def _graph(rows: "wp.array", k: int, device: "wp.Device") -> _Graph:
-    import warp as wp
-
     from geokit.points.clouds import normals_kernels as kernels
 
     count = len(rows)

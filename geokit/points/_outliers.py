@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.interop.types import Array, Device, Rows
 from geokit.core.interop.user_arrays import LARGEST_MEASURED, read_vectors, require_finite_scalar
 from geokit.core.memory.needs import needs, rows
@@ -15,9 +14,6 @@ from geokit.errors import InputError
 from geokit.points.neighbors.neighbor_grid import NeighborGrid
 from geokit.points.search.nearest import MAX_K, nearest
 from geokit.points.search.nearest_tree import build_tree
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["outliers"]
 
@@ -72,8 +68,6 @@ def outliers(
         >>> gk.points.outliers(line, method="radius", radius=1.5, minimum_count=1, device="cpu").tolist()
         [False, False, False, False, True]
     """
-    import warp as wp
-
     from geokit.points.clouds.outliers_kernels import below_kernel
 
     require_choice(method, "method", METHODS)
@@ -95,8 +89,6 @@ def outliers(
 
 
 def _unusual(rows: "wp.array", k: int, ratio: float, device: "wp.Device") -> "wp.array":
-    import warp as wp
-
     from geokit.points.clouds.outliers_kernels import above_kernel, mean_distance_kernel
 
     count = len(rows)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.base.snapshot import snapshot
 from geokit.core.gradients.differentiable import of_constants
 from geokit.core.interop.objects import has_faces
@@ -26,8 +27,6 @@ from geokit.points.search.nearest import build_tree, nearest
 from geokit.volume.model.sparse_volume import SparseVolume
 
 if TYPE_CHECKING:
-    import warp as wp
-
     from geokit.mesh.surfaces.surface import Surface
 
 __all__ = ["Registration", "register"]
@@ -232,8 +231,6 @@ class _Search:
 
     def rank(self, pose: _Pose, sums: NDArray[np.float64]) -> int:
         """Number of determined motions, from the sums of the last pairs."""
-        import warp as wp
-
         from geokit.points.clouds.register_kernels import tangents_kernel
 
         rank = self.solve(sums).rank
@@ -258,8 +255,6 @@ class _Search:
 
     def sums(self, pose: _Pose) -> NDArray[np.float64]:
         """Sums over the pairs of the source in a pose."""
-        import warp as wp
-
         from geokit.points.clouds.register_kernels import move_kernel
 
         device = self._target.device
@@ -278,8 +273,6 @@ class _Search:
         return sums
 
     def _summed(self, moved: "wp.array", pairs: Pairs, center: Any, method: str) -> NDArray[np.float64]:
-        import warp as wp
-
         from geokit.points.clouds import register_kernels as kernels
 
         device = self._target.device
@@ -354,8 +347,6 @@ class Target(ABC):
 
     def room(self, count: int) -> Pairs:
         """Arrays for so many pairs, reused by every step."""
-        import warp as wp
-
         if self._room is None or len(self._room.paired) != count:
             self._room = Pairs(
                 wp.empty(count, dtype=wp.vec3d, device=self.device),
@@ -388,8 +379,6 @@ def _make_target(target: Any, target_normals: Any, wants_normals: bool, device: 
 
 class _CloudTarget(Target):
     def __init__(self, points: Any, normals: Any, wants_normals: bool, device: "wp.Device") -> None:
-        import warp as wp
-
         super().__init__(device)
         self._points = read_vectors(points, "target", device, largest=LARGEST_MEASURED).array
         if len(self._points) == 0:
@@ -409,8 +398,6 @@ class _CloudTarget(Target):
         self._partner: Any = None
 
     def pairs(self, moved: "wp.array", max_distance: float) -> Pairs:
-        import warp as wp
-
         from geokit.points.clouds.register_kernels import limit_kernel, partner_kernel
 
         limit: Any = max_distance * max_distance
@@ -427,8 +414,6 @@ class _CloudTarget(Target):
         return room
 
     def tilts(self, moved: "wp.array", pairs: Pairs) -> tuple[Pairs, "wp.array"] | None:
-        import warp as wp
-
         from geokit.points.clouds import register_kernels as kernels
 
         if len(self._points) < int(kernels.AROUND):
@@ -456,8 +441,6 @@ class _CloudTarget(Target):
 
 class _SurfaceTarget(Target):
     def __init__(self, surface: "Surface") -> None:
-        import warp as wp
-
         super().__init__(launcher.resolve_device(surface.device))
         self._surface = surface
         corners = surface.mesh.vertices[surface.mesh.faces]
@@ -494,8 +477,6 @@ class _VolumeTarget(Target):
         self._reach = abs(float(info.background)) - BAND_MARGIN * float(np.max(info.voxel_size))
 
     def pairs(self, moved: "wp.array", max_distance: float) -> Pairs:
-        import warp as wp
-
         from geokit.points.clouds.register_kernels import volume_partner_kernel
 
         distance = self._volume.sample(moved, device=self.device)
@@ -507,8 +488,6 @@ class _VolumeTarget(Target):
 
 
 def _unit(normals: "wp.array") -> "wp.array":
-    import warp as wp
-
     from geokit.points.clouds.register_kernels import unit_kernel
 
     unit = wp.empty(len(normals), dtype=wp.vec3d, device=normals.device)

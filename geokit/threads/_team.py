@@ -8,6 +8,7 @@ from typing import Any
 
 from geokit.core import launcher
 from geokit.core.base.forks import renew_after_fork
+from geokit.core.base.late_warp import wp
 from geokit.core.interop.types import Device
 from geokit.core.launches import warp_private
 from geokit.core.require import require_callable, require_count, require_instance, require_items
@@ -53,8 +54,6 @@ class Team:
         Raises:
             InputError: threads is not a positive whole number, or there is no such device.
         """
-        import warp as wp
-
         self.device = launcher.resolve_device(device)
         if threads is not None:
             threads = require_count(threads, "threads", 1)
@@ -86,8 +85,6 @@ class Team:
         Raises:
             InputError: kernel's first parameter is no Share, count is negative, or block is not positive.
         """
-        import warp as wp
-
         from geokit.threads._team_kernels import Share
 
         require_instance(kernel, "kernel", wp.Kernel, "decorate a function with @wp.kernel")
@@ -147,8 +144,6 @@ class Team:
         Returns:
             A function that runs all calls.
         """
-        import warp as wp
-
         items: list[Any] = require_items(calls, "calls")
         calls = [require_callable(call, "calls") for call in items]
         has_run, graph = False, None

@@ -1,7 +1,6 @@
 """Kernel functions of a team: a thread's share of the items, and a barrier."""
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 
 import warp as wp
 

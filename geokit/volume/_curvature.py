@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.blocks.several_devices import LEAST_ON_GPUS
 from geokit.core.interop.types import Array, Devices, Rows
 from geokit.core.interop.user_arrays import Batch, read_vectors
@@ -14,9 +15,6 @@ from geokit.volume.at_points.sample import is_scalar, require_order, view_as
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.sampling.space import query_inputs, require_space
 from geokit.volume.tree.leaves import require_volume
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["Curvatures", "curvature", "hessian"]
 
@@ -67,8 +65,6 @@ def hessian(
         >>> hessian(load("data/samples/torus.vdb"), [[1.0, 0.0, 0.0]]).shape
         (1, 3, 3)
     """
-    import warp as wp
-
     batch, _, second = _derivatives(volume, points, order, space, device)
     return batch.to_caller(view_as(second, wp.float64, (len(batch), 3, 3)))
 
@@ -112,8 +108,6 @@ def curvature(volume: SparseVolume, points: Rows, *, order: int = 3, device: Dev
         >>> curvature(torus, [[1.0, 0.0, 0.0]]).principal.shape
         (1, 2)
     """
-    import warp as wp
-
     from geokit.volume.sampling.curvature_kernels import curvature_kernel
 
     batch, slope, second = _derivatives(volume, points, order, "world", device)
@@ -129,8 +123,6 @@ def _derivatives(
     volume: SparseVolume, points: Rows, order: int, space: str, device: Any
 ) -> tuple[Batch, "wp.array", "wp.array"]:
     """The rows of the points, with the gradient (vec3d) and the Hessian (mat33d) at each, in the given space."""
-    import warp as wp
-
     from geokit.volume.sampling.kernel_table import query_kernel
 
     require_volume(volume, "volume")

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.interop import user_arrays
 from geokit.core.interop.objects import image_of
 from geokit.core.interop.types import Device
@@ -239,8 +240,6 @@ def to_dense(
 
 def _read_box(volume: SparseVolume, origin: NDArray[np.int64], values: NDArray[Any], device: Any) -> None:
     """Fill ``values`` (X, Y, Z, C): in place on the CPU if the types agree, else a few slabs or rows at a time."""
-    import warp as wp
-
     if not values.size:
         return
     size_x, size_y, size_z, components = values.shape
@@ -268,8 +267,6 @@ def _read_box(volume: SparseVolume, origin: NDArray[np.int64], values: NDArray[A
 
 def _reader_of(grid_type: str, components: int) -> tuple[Any, Any]:
     """The kernel that reads rows of a grid, and the type of the values that it writes."""
-    import warp as wp
-
     from geokit.volume.tree.dense_rows_kernels import DENSE_KERNELS, exact_kernel, float_kernel
 
     if grid_type == "int64":
@@ -280,8 +277,6 @@ def _reader_of(grid_type: str, components: int) -> tuple[Any, Any]:
 
 
 def _read_dense(values: Any) -> NDArray[Any]:
-    import warp as wp
-
     require_unrecorded(values, "values")
     try:
         if isinstance(values, wp.array):

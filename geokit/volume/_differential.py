@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.interop.types import Device
 from geokit.core.memory.needs import needs
 from geokit.errors import InputError
@@ -120,8 +121,6 @@ def laplacian(volume: SparseVolume, *, device: Device = None) -> SparseVolume:
 
 
 def _derived(volume: SparseVolume, kernel: str, components: int, device: Any, *, metric: bool = False) -> SparseVolume:
-    import warp as wp
-
     from geokit.volume.sampling import differential_kernels as kernels
 
     source = voxelized(volume)

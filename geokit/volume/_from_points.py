@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.interop import user_arrays
 from geokit.core.interop.types import Device, Rows
 from geokit.core.memory import available_memory
@@ -22,9 +23,6 @@ from geokit.volume.nanovdb.layout import LEAF_VOXELS
 from geokit.volume.nanovdb.provenance import content_hash, provenance
 from geokit.volume.tree.device_leaves import build_leaves
 from geokit.volume.tree.grid_head import checked_head
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["from_points"]
 
@@ -151,8 +149,6 @@ def _sorted_balls(
     center: NDArray[np.float64], radius: NDArray[np.float64], reach: NDArray[np.float64], device: "wp.Device"
 ) -> list[_Class]:
     """Sort balls by the power of two of voxels in their reach, so that a bucket is at least as wide as the reach."""
-    import warp as wp
-
     from geokit.volume.band.balls_kernels import Balls
 
     level = np.maximum(0, np.ceil(np.log2(reach / LEAF))).astype(np.int64)
@@ -189,8 +185,6 @@ def _sorted_balls(
 
 def _tiles_of(balls: _Class, half_width: float, device: "wp.Device") -> NDArray[np.int32]:
     """Corners of the tiles in which a ball of this class may have a voxel of the band, shape (T, 3), each once."""
-    import warp as wp
-
     from geokit.volume.band.balls_kernels import state_kernel
 
     steps = np.stack(np.unravel_index(np.arange(27), (3, 3, 3)), axis=1) - 1
@@ -241,8 +235,6 @@ def _distances(
     classes: list[_Class], tiles: NDArray[np.int32], half_width: float, device: "wp.Device"
 ) -> NDArray[np.float64]:
     """Distance [voxels] of each voxel of the tiles, at most the half width, shape (T, 512)."""
-    import warp as wp
-
     from geokit.volume.band.balls_kernels import bound_kernel, distance_kernel, list_kernel, vec8d
 
     total = len(tiles)

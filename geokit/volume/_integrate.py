@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.blocks.several_devices import LEAST_ON_GPUS
 from geokit.core.interop import user_arrays
 from geokit.core.interop.types import Array, Devices, Rows
@@ -18,9 +19,6 @@ from geokit.errors import InputError
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.rays.ray_field import ray_field
 from geokit.volume.tree.leaves import require_volume
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["Transmittance", "integrate"]
 
@@ -95,8 +93,6 @@ def integrate(
         >>> integrate(smoke, [[0.0, 0.0, 9.0]], [[0.0, 0.0, -1.0]], extinction=20.0, device="cpu").transmittance.shape
         (1,)
     """
-    import warp as wp
-
     from geokit.volume.rays.raycast_kernels import SHORTEST_DIRECTION
 
     factor = wp.float64(user_arrays.require_finite_scalar(extinction, "extinction", low=user_arrays.FROM_ZERO))
@@ -122,8 +118,6 @@ def integrate(
 
 def _kernel(volume: SparseVolume, emission: SparseVolume | None, device: "wp.Device") -> tuple[Any, list[Any]]:
     """The kernel, and its inputs after the field."""
-    import warp as wp
-
     from geokit.volume.rays import integrate_kernels as kernels
 
     if emission is not None:

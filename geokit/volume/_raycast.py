@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.blocks.several_devices import LEAST_ON_GPUS
 from geokit.core.interop import user_arrays
 from geokit.core.interop.types import Array, Devices, Rows
@@ -105,8 +106,6 @@ def raycast(
         >>> hits.normals.shape
         (1, 3)
     """
-    import warp as wp
-
     from geokit.volume.rays.raycast_kernels import RAYCAST, SHORTEST_DIRECTION
 
     level = user_arrays.require_finite_scalar(isovalue, "isovalue")

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.gradients.differentiable import of_constants
 from geokit.core.interop.types import Device
 from geokit.core.interop.user_arrays import require_finite_scalar
@@ -244,8 +245,6 @@ def _values_at(volume: SparseVolume, points: NDArray[np.float64], device: Any) -
     """Values of the voxels nearest to index coordinates, exact."""
     if volume.info.grid_type != "int64":
         return np.asarray(sample(volume, points, order=0, space="index", device=device))
-    import warp as wp
-
     from geokit.volume.sampling.active_kernels import nearest_int64_kernel
 
     target = launcher.resolve_device(device)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.gradients.rules import hold, split
 from geokit.core.interop.arrays import import_array, is_exporter, reinterpreted
 from geokit.core.interop.user_arrays import reported_row
@@ -22,9 +23,6 @@ from geokit.volume.nanovdb.header import FLAG_HAS_MIN_MAX, aligned_buffer, grid_
 from geokit.volume.nanovdb.layout import LAYOUTS
 from geokit.volume.nanovdb.nodes import grid_nodes, set_bits, slot_places
 from geokit.volume.tree.leaves import leaves_of, require_volume, value_places
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["ActiveVoxels", "active_voxels", "with_values"]
 
@@ -137,8 +135,6 @@ def _on_host(volume: SparseVolume, values: NDArray[Any]) -> SparseVolume:
 
 
 def _on_gpu(volume: SparseVolume, values: "wp.array") -> SparseVolume:
-    import warp as wp
-
     from geokit.volume.nanovdb.write_values_kernels import FIRST_BAD, REALS, WRITE_VALUES
 
     device = values.device

@@ -13,6 +13,7 @@ from geokit.accuracy.charts.mesh_setup import SOLID_ANGLE, Queries
 from geokit.accuracy.reference import mesh as reference
 from geokit.accuracy.trials.model import Chart, Judgement, Trial
 from geokit.accuracy.trials.running import held_bytes, judged, on_host, send, setting_of
+from geokit.core.base.late_warp import wp
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 if TYPE_CHECKING:
@@ -59,8 +60,6 @@ def warp_tree_bytes(setup: MeshSetup) -> int:
 
 
 def _trials(setup: MeshSetup, queries: Queries) -> Iterator[Trial]:
-    import warp as wp
-
     from geokit.accuracy.charts.raw_queries import raw_closest_point
     from geokit.mesh.surfaces.surface import Surface
 

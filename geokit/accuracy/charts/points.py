@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from geokit.accuracy.reference import mesh as reference
 from geokit.accuracy.trials.model import Chart, Judgement, Trial
 from geokit.accuracy.trials.running import angles, held_bytes, judged, on_host, send, setting_of
+from geokit.core.base.late_warp import wp
 
 __all__ = ["PointsSetup", "downsample_chart", "nearest_chart", "neighbors_chart", "point_normals_charts", "torus_cloud"]
 
@@ -123,8 +124,6 @@ def nearest_chart(setup: PointsSetup) -> Chart:
 
 
 def _radius_trials(setup: PointsSetup) -> Iterator[Trial]:
-    import warp as wp
-
     from geokit.accuracy.charts.raw_queries import raw_radius_count
     from geokit.points.neighbors.neighbor_grid import NeighborGrid
 
@@ -161,8 +160,6 @@ def _radius_trials(setup: PointsSetup) -> Iterator[Trial]:
 
 
 def _nearest_trials(setup: PointsSetup) -> Iterator[Trial]:
-    import warp as wp
-
     from geokit.points.neighbors.neighbor_grid import NeighborGrid
 
     grid = NeighborGrid(setup.points, setup.radius, device=setup.device)

@@ -5,10 +5,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 
 if TYPE_CHECKING:
-    import warp as wp
-
     from geokit.mesh.surfaces.surface import Surface
     from geokit.points.neighbors.neighbor_grid import NeighborGrid
 
@@ -32,8 +31,6 @@ class RawHits(NamedTuple):
 
 def raw_closest_point(surface: Surface, points: "wp.array") -> RawClosest:
     """Closest points (vec3d in, float32 out) by ``wp.mesh_query_point_no_sign``."""
-    import warp as wp
-
     from geokit.accuracy.charts.raw_queries_kernels import raw_closest_point_kernel
 
     device, count = points.device, len(points)
@@ -44,8 +41,6 @@ def raw_closest_point(surface: Surface, points: "wp.array") -> RawClosest:
 
 def raw_raycast(surface: Surface, origins: "wp.array", directions: "wp.array") -> RawHits:
     """First hits (vec3d in, float32 out) by ``wp.mesh_query_ray``."""
-    import warp as wp
-
     from geokit.accuracy.charts.raw_queries_kernels import raw_raycast_kernel
 
     device, count = origins.device, len(origins)
@@ -56,8 +51,6 @@ def raw_raycast(surface: Surface, origins: "wp.array", directions: "wp.array") -
 
 def raw_radius_count(grid: NeighborGrid, points: "wp.array", queries: "wp.array", radius: float) -> "wp.array":
     """Number of points (vec3f) within the radius of each query (vec3f), by ``wp.hash_grid_query``."""
-    import warp as wp
-
     from geokit.accuracy.charts.raw_queries_kernels import raw_radius_count_kernel
 
     device, count = queries.device, len(queries)
@@ -67,6 +60,4 @@ def raw_radius_count(grid: NeighborGrid, points: "wp.array", queries: "wp.array"
 
 
 def _frame(surface: Surface) -> list[Any]:
-    import warp as wp
-
     return [wp.uint64(surface.id), wp.vec3d(*surface.origin), wp.float64(surface.scale)]

@@ -5,7 +5,6 @@ near triangles.
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 wp.set_module_options({"enable_backward": False})

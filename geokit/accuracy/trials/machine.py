@@ -8,6 +8,7 @@ import platform
 from collections.abc import Mapping
 
 from geokit._config import show_config
+from geokit.core.base.late_warp import wp
 from geokit.core.base.system import said
 
 __all__ = ["machine_facts", "machine_line", "processor_name", "version_facts"]
@@ -24,8 +25,6 @@ def machine_facts() -> dict[str, str]:
         "memory": _memory_text(),
     }
     for alias in launcher.cuda_devices():
-        import warp as wp
-
         device = wp.get_device(alias)
         facts[alias] = f"{device.name}, {device.total_memory / 2**30:.0f} GiB"
     if not launcher.cuda_devices():

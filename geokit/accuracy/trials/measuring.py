@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core.base.late_warp import wp
 from geokit.core.base.system import said
 from geokit.core.interop.types import Device
 from geokit.core.launches.cuda_driver import cuda_driver
@@ -21,8 +22,6 @@ from geokit.core.require import require_flag, require_instance, require_text
 from geokit.errors import InputError
 
 if TYPE_CHECKING:
-    import warp as wp
-
     from geokit.accuracy.trials.model import Chart, Judgement, Measurement, Trial
 
 __all__ = ["measure", "peak_bytes", "reset_high_water", "resident_status"]
@@ -117,8 +116,6 @@ def _checked(judgement: "Judgement", trial: "Trial") -> tuple[NDArray[np.float64
 
 
 def _timed(trial: "Trial", device: "wp.Device", budget: float) -> tuple[float, float]:
-    import warp as wp
-
     times: list[float] = []
     collecting = gc.isenabled()
     gc.disable()
@@ -203,8 +200,6 @@ def resident_status(name: str) -> int:
 
 
 def _pool_peak(call: Callable[[], Any], device: "wp.Device") -> int:
-    import warp as wp
-
     wp.synchronize_device(device)
     if not wp.is_mempool_enabled(device):
         # Without the pool: memory taken while the answer is held, a lower bound.

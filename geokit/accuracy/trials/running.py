@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.accuracy.trials.model import Judgement, Trial
+from geokit.core.base.late_warp import wp
 
 __all__ = [
     "angles", "failed", "held_bytes", "judged", "on_host", "send", "setting_of", "time_left", "unit",
@@ -25,8 +26,6 @@ PATIENCE = 2.0
 
 def send(points: Floats, device: Any) -> Any:
     """Points on the device, so that transfers are not timed."""
-    import warp as wp
-
     return wp.array(points, dtype=wp.vec3d, device=device)
 
 
@@ -84,8 +83,6 @@ def held_bytes(*things: Any) -> int:
 
     Memory behind a warp handle (the tree of a ``wp.Mesh``, the cells of a ``wp.HashGrid``) is not included.
     """
-    import warp as wp
-
     sizes: dict[int, int] = {}
     seen: set[int] = set()
     waiting = list(things)

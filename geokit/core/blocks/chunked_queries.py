@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from geokit.core.base.late_warp import wp
 from geokit.core.interop import user_arrays
 from geokit.core.interop.arrays import led
 from geokit.core.memory import available_memory
 from geokit.core.require import require_callable
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["Progress", "in_chunks", "in_percent"]
 

@@ -7,13 +7,10 @@ from __future__ import annotations
 
 import ctypes
 import functools
-from typing import TYPE_CHECKING
 
 from geokit.core.base.forks import Lock
+from geokit.core.base.late_warp import wp
 from geokit.core.launches.cuda_driver import cuda_driver
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["copy_rows", "copy_stream", "open_memory"]
 
@@ -27,8 +24,6 @@ def copy_stream(device: str, number: int) -> "wp.Stream":
 
     It is kept for all later calls. The GPU has to be the current one.
     """
-    import warp as wp
-
     handle = ctypes.c_void_p()
     _require(cuda_driver().cuStreamCreate(ctypes.byref(handle), NON_BLOCKING), "make a stream")
     return wp.Stream(device, cuda_stream=handle.value)
@@ -44,8 +39,6 @@ def copy_rows(
     Raises:
         RuntimeError: The driver refuses.
     """
-    import warp as wp
-
     if not count:
         return
     if stream is None or target.device == source.device or target.device.is_cpu or source.device.is_cpu:
@@ -69,8 +62,6 @@ def open_memory(one: "wp.Device", other: "wp.Device") -> None:
     Copies between GPUs that are under way while access to a pool changes end with CUDA's error 719, and the GPUs are
     lost for the process. So this comes before the work of a call, in one thread, and once both are idle.
     """
-    import warp as wp
-
     with _opening:
         for target, peer in ((one, other), (other, one)):
             opens = wp.is_peer_access_supported(target, peer) and not wp.is_peer_access_enabled(target, peer)

@@ -11,19 +11,17 @@ import functools
 import inspect
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.base.query import FIRST_ALONE, Query
 from geokit.core.base.snapshot import snapshot
 from geokit.core.blocks.shared_rows import Question
 from geokit.core.gradients.rules import held_by, is_tracked, is_warp_array
 from geokit.errors import InputError
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["LEAST_ON_GPUS", "OnDevices", "answer", "are_asked", "devices_of", "replicas", "shows_arguments"]
 

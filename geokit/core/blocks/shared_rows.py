@@ -12,16 +12,14 @@ import functools
 import itertools
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from geokit.core.base.late_warp import wp
 from geokit.core.blocks.peer_copies import copy_rows, copy_stream, open_memory
 from geokit.core.interop.arrays import exporter_like, import_array
 from geokit.core.running.thread_placement import Pool
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["Question"]
 
@@ -67,8 +65,6 @@ class Question:
 
     def reaches_all(self) -> bool:
         """Whether no rows go from one GPU to another through the host, which takes longer than answers."""
-        import warp as wp
-
         home = import_array(self._rows[0], "rows").device
         return all(wp.is_peer_access_supported(home, one) for one in self._other_gpus(home))
 
@@ -97,8 +93,6 @@ class Question:
 
     def of_arrays(self) -> Any:
         """The answer to arrays of warp or torch, which lies where they do."""
-        import warp as wp
-
         rows = [import_array(value, "rows") for value in self._rows]
         rows = [value if value.is_contiguous else value.contiguous() for value in rows]
         home, total = rows[0].device, len(rows[0])
@@ -187,8 +181,6 @@ class _Way:
         return self
 
     def __exit__(self, *_: object) -> None:
-        import warp as wp
-
         with self._contexts:
             for stream in self._streams or ():
                 wp.synchronize_stream(stream)
@@ -198,8 +190,6 @@ class _Way:
         self, rows: Sequence["wp.array"], pieces: Sequence[tuple[int, int]]
     ) -> Iterator[tuple[tuple[int, int], list["wp.array"]]]:
         """Each piece with its rows on the device; those of the next one are under way by then."""
-        import warp as wp
-
         coming: collections.deque[tuple[Any, list[Any], Any]] = collections.deque()
         for piece in [*pieces, None]:
             if piece is not None:
@@ -213,8 +203,6 @@ class _Way:
                 yield asked, here
 
     def _bring(self, rows: Sequence["wp.array"], first: int, stop: int) -> tuple[list["wp.array"], Any]:
-        import warp as wp
-
         if self._home == self._device:
             return [value[first:stop] for value in rows], None
         here: list[Any] = [
@@ -256,8 +244,6 @@ class _Whole:
             return None
         if isinstance(field, np.ndarray):
             return np.empty((total, *field.shape[1:]), field.dtype)
-        import warp as wp
-
         return wp.empty((total, *field.shape[1:]), dtype=field.dtype, device=self._home)
 
     def put(self, first: int, answer: Any, stream: Any = None) -> None:
@@ -309,13 +295,9 @@ def _joined(parts: Sequence[Any], are_offsets: bool, home: "wp.Device | None") -
         whole = np.concatenate([moved[0], *(part[1:] for part in moved[1:])])
         if isinstance(parts[0], np.ndarray):
             return whole
-        import warp as wp
-
         return wp.array(whole, dtype=parts[0].dtype, device=home)
     if isinstance(parts[0], np.ndarray):
         return np.concatenate(parts)
-    import warp as wp
-
     joined: Any = wp.empty((sum(map(len, parts)), *parts[0].shape[1:]), dtype=parts[0].dtype, device=home)
     begin = 0
     for part in parts:

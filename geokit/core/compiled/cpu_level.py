@@ -12,6 +12,7 @@ import platform
 from pathlib import Path
 from typing import Any
 
+from geokit.core.base.late_warp import wp
 from geokit.core.base.system import said
 from geokit.errors import InputError
 
@@ -52,8 +53,6 @@ def flags_of(name: str) -> str | None:
 
     They are warp's own with another target. Where the user's flags name no native target, they are kept.
     """
-    import warp as wp
-
     given = wp.config.cpu_compiler_flags
     flags = [_NATIVE_FLAG] if given is None else given.split()
     if name == NATIVE or _NATIVE_FLAG not in flags:
@@ -64,8 +63,6 @@ def flags_of(name: str) -> str | None:
 
 def choose(module: Any, name: str | None = None) -> None:
     """Make warp compile a kernel module for a level (by default :func:`level`), unless its flags have been set."""
-    import warp as wp
-
     flags = flags_of(name or level())
     if flags is not None and module.options["cpu_compiler_flags"] is None:
         wp.set_module_options({"cpu_compiler_flags": flags}, module)

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+from geokit.core.base.late_warp import wp
 from geokit.core.launches import warp_private
 
 __all__ = ["kernel_modules", "warp_modules"]
@@ -33,8 +34,6 @@ def warp_modules(name: str) -> list[Any]:
 
 def _kernels(values: Iterable[Any]) -> Iterator[Any]:
     """Kernels with code among values and in the tables there; a generic kernel has none until it has an overload."""
-    import warp as wp
-
     for value in values:
         if isinstance(value, wp.Kernel):
             if warp_private.has_code(value):

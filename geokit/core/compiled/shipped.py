@@ -14,12 +14,10 @@ import json
 import logging
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
+from geokit.core.base.late_warp import wp
 from geokit.core.launches import warp_private
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["INDEX", "OBJECTS", "Shipped", "count", "digest_of", "find", "folders"]
 
@@ -96,8 +94,6 @@ def _suffixes(module: Any, device: "wp.Device", block_dim: int, name: str) -> li
 @functools.cache
 def _table() -> dict[str, tuple[Path, Path, str]]:
     """Object, metadata and their digest, by the name that warp would give the object."""
-    import warp as wp
-
     table = {}
     for folder in folders():
         try:

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.interop.arrays import is_in_order
 from geokit.core.launches.warp_private import KernelArray
 from geokit.core.memory.host_array import array_descriptor
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["TensorArrays", "TensorRows", "device_of", "launch", "number_of"]
 
@@ -48,8 +46,6 @@ class TensorRows(KernelArray):
     @property
     def warp(self) -> "wp.array":
         """A warp array over the same memory."""
-        import warp as wp
-
         number = number_of(self._tensor)
         vector = wp.vec3d if number is wp.float64 else wp.vec3f
         array: Any = wp.from_torch(self._tensor.detach(), dtype=vector if self._tensor.ndim == 2 else number)
@@ -71,8 +67,6 @@ class TensorArrays:
 
     def made(self, count: int, width: int, number: Any = None) -> Any:
         """A new tensor of ``count`` numbers or rows, of the coordinates' type if no other is given."""
-        import warp as wp
-
         kind = {wp.float64: torch.float64, wp.int32: torch.int32, wp.int64: torch.int64, None: self._like.dtype}[number]
         return self._like.new_empty((count, 3) if width == 3 else count, dtype=kind)
 
@@ -87,15 +81,11 @@ class TensorArrays:
 
 def device_of(tensor: Any) -> "wp.Device":
     """The device of a tensor."""
-    import warp as wp
-
     return wp.device_from_torch(tensor.device)
 
 
 def number_of(tensor: Any) -> Any:
     """The type of a tensor's numbers in kernels."""
-    import warp as wp
-
     known = {torch.float32: wp.float32, torch.float64: wp.float64, torch.int32: wp.int32, torch.int64: wp.int64}
     return known[tensor.dtype]
 
@@ -105,8 +95,6 @@ def launch(kernel: Any, count: int, inputs: Sequence[Any], outputs: Sequence[Any
     if is_in_order(torch, device):
         launcher.launch(kernel, count, inputs, outputs, device)
         return
-    import warp as wp
-
     # Each stream waits for the other: warp has made some of the arrays, and frees them on its own.
     stream = wp.stream_from_torch(torch.cuda.current_stream(device.ordinal))
     with wp.ScopedStream(stream, sync_enter=True, sync_exit=True):

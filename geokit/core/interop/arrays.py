@@ -6,16 +6,14 @@ import functools
 import math
 import sys
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from geokit.core.base.late_warp import wp
 from geokit.core.launches.cuda_driver import cuda_driver
 from geokit.core.require import require_memory, require_unrecorded
 from geokit.errors import InputError
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = [
     "as_table", "broadcast_rows", "detached", "exporter_like", "flat_rows", "import_array", "is_exporter",
@@ -33,8 +31,6 @@ def is_exporter(values: Any) -> bool:
 
 
 def import_array(values: Any, name: str) -> "wp.array":
-    import warp as wp
-
     if isinstance(values, wp.array) and values.requires_grad:
         require_unrecorded(values, name)
         values = detached(values)
@@ -107,8 +103,6 @@ def exporter_like(values: Any) -> Callable[["wp.array"], Any]:
 
 
 def _to_torch(torch: Any, out: "wp.array") -> Any:
-    import warp as wp
-
     return torch.utils.dlpack.from_dlpack(wp.to_dlpack(out) if is_in_order(torch, out.device) else out)
 
 
@@ -126,16 +120,12 @@ def is_in_order(torch: Any, device: "wp.Device") -> bool:
 
 def as_table(out: "wp.array") -> "wp.array":
     """View an (N,) array of vec3 as (N, 3) scalars over the same memory; return scalar arrays unchanged."""
-    import warp as wp
-
     scalar = {wp.vec3f: wp.float32, wp.vec3d: wp.float64}.get(out.dtype)
     return out if scalar is None else reinterpreted(out, scalar, (*out.shape, 3))
 
 
 def reinterpreted(array: "wp.array", dtype: Any, shape: tuple[int, ...]) -> "wp.array":
     """View contiguous memory under another type and shape; the view keeps the owner alive."""
-    import warp as wp
-
     view = wp.array(ptr=array.ptr, dtype=dtype, shape=shape, device=array.device)
     view._geokit_source = array
     return view
@@ -190,8 +180,6 @@ def _repeated(row: Any, shape: tuple[int, ...], name: str) -> Any:
         return row.__array_namespace__().broadcast_to(row, shape)
     if isinstance(row, np.ndarray):
         return np.broadcast_to(row, shape)
-    import warp as wp
-
     shared = import_array(row, name)
     table: Any = wp.array(np.broadcast_to(shared.numpy(), shape), dtype=shared.dtype, device=shared.device)
     return table if isinstance(row, wp.array) else exporter_like(row)(table)
@@ -226,8 +214,6 @@ def _is_widened(kind: Any) -> bool:
 
 def detached(array: "wp.array") -> "wp.array":
     """An array of warp over the same memory that requires no gradient; a copy if it is not contiguous."""
-    import warp as wp
-
     if not array.is_contiguous:
         copy: Any = wp.empty(array.shape, dtype=array.dtype, device=array.device)
         wp.copy(copy, array)  # between arrays of which one has no gradient, which no tape records

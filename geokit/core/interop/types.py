@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 from numpy.typing import ArrayLike, NDArray
 
-if TYPE_CHECKING:
-    import warp as wp
+from geokit.core.base.late_warp import wp
 
 __all__ = ["Array", "Device", "Devices", "MeshLike", "Rows"]
 

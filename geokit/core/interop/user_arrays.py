@@ -13,12 +13,13 @@ import math
 import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.download import download
 from geokit.core.interop.arrays import (
     as_table,
@@ -38,9 +39,6 @@ from geokit.core.memory.host_array import HostArray, row_of
 from geokit.core.memory.pinned import FEWEST_ROWS, Pinned, PinnedArray, uses_pinned_memory
 from geokit.core.require import read_array, require_number, require_unrecorded
 from geokit.errors import InputError
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = [
     "FROM_ZERO", "LARGEST_MEASURED", "Batch", "empty", "empty_outputs", "full", "mapped", "narrowed", "ray_limits",
@@ -130,8 +128,6 @@ def read_vectors(
         InputError: A wrong shape or dtype, or a row that is not finite; the message names the first bad row. Or a
             wp.Tape is recording, and the rows require gradients.
     """
-    import warp as wp
-
     lead = None
     if isinstance(values, wp.array):
         require_unrecorded(values, name)
@@ -206,8 +202,6 @@ def read_numbers(values: Any, name: str) -> np.ndarray:
     """
     if type(values) is float:
         return np.array(values)
-    import warp as wp
-
     if isinstance(values, wp.array):
         require_unrecorded(values, name)
         values = values.numpy()
@@ -228,8 +222,6 @@ def empty(count: int, dtype: Any, like: Any) -> Any:
     Returns:
         A HostArray if ``like`` is one (in the same pinned memory if it is pinned), else a warp array on its device.
     """
-    import warp as wp
-
     if not isinstance(like, HostArray):
         return wp.empty(count, dtype=dtype, device=like.device)
     row = row_of(dtype)
@@ -256,8 +248,6 @@ def empty_outputs(count: int, dtypes: Sequence[Any], like: Any) -> list[Any]:
 
 def full(count: int, value: float, dtype: Any, like: Any) -> Any:
     """An array of ``count`` results that all hold ``value``; see :func:`empty`."""
-    import warp as wp
-
     if not isinstance(like, HostArray):
         return wp.full(count, value, dtype=dtype, device=like.device)
     results = empty(count, dtype, like)
@@ -312,8 +302,6 @@ def require_length(batch: Batch, name: str, shortest: float) -> None:
     Raises:
         InputError: There is such a row; the message names the first one.
     """
-    import warp as wp
-
     from geokit.core.interop.user_arrays_kernels import first_short_kernel
 
     row = reported_row(first_short_kernel, batch.rows, [wp.float64(shortest)])
@@ -323,8 +311,6 @@ def require_length(batch: Batch, name: str, shortest: float) -> None:
 
 def ray_limits(t_min: Any, max_distance: Any) -> tuple[Any, Any]:
     """Both limits of rays as kernels take them; none is negative, and the second may be infinite."""
-    import warp as wp
-
     lowest = -math.ulp(0.0)
     start = require_finite_scalar(t_min, "t_min", low=lowest)
     reach = require_finite_scalar(max_distance, "max_distance", low=lowest, infinite=True)
@@ -341,8 +327,6 @@ def refuse_rays(bad: Any, rays: Batch, heading: Batch, shortest: float) -> None:
 
 def reported_row(kernel: Any, rows: "wp.array", inputs: list[Any]) -> int:
     """Lowest row that a checking kernel reports; -1 if it reports none."""
-    import warp as wp
-
     none = np.iinfo(np.int32).max
     out_row = wp.full(1, none, dtype=wp.int32, device=rows.device)
     launcher.launch(kernel, len(rows), [rows, *inputs], [out_row], rows.device)
@@ -393,8 +377,6 @@ def _shaped(give: Callable[[Any], Any], lead: tuple[int, ...] | None) -> Callabl
         return give
 
     def shape(out: Any) -> Any:
-        import warp as wp
-
         found = give(out)
         if not isinstance(found, wp.array):
             shaped = led(found, lead)
@@ -453,8 +435,6 @@ def _memory_of(results: HostArray) -> np.ndarray:
 
 def _as_rows(source: "wp.array", name: str) -> tuple["wp.array", bool]:
     """View the array as (N,) of vec3f or vec3d; also return whether it is vec3f."""
-    import warp as wp
-
     if source.dtype in (wp.vec3f, wp.vec3d) and source.ndim == 1:
         return source, source.dtype == wp.vec3f
     if source.dtype in (wp.float32, wp.float64) and source.ndim == 2 and source.shape[1] == 3:
@@ -479,15 +459,11 @@ def _remedy(shape: tuple[int, ...]) -> str:
 
 def _as_floats(source: "wp.array") -> "wp.array":
     """Whole numbers and float16 as float64, as NumPy's are taken; all else as it is."""
-    import warp as wp
-
     plain = source.dtype in (wp.float32, wp.float64, wp.bfloat16) or not wp.types.type_is_scalar(source.dtype)
     return source if plain else wp.array(source.numpy().astype(np.float64), dtype=wp.float64, device=source.device)
 
 
 def _widen(rows: "wp.array") -> "wp.array":
-    import warp as wp
-
     if len(rows) == 0:
         return wp.empty(0, dtype=wp.vec3d, device=rows.device)
     if rows.device.is_cpu:
@@ -506,8 +482,6 @@ def _require_finite(rows: "wp.array", name: str, first_row: int, largest: float 
     if isinstance(rows, HostArray) or rows.device.is_cpu:
         _refuse_nonfinite(rows.numpy(), name, first_row, largest)
         return
-    import warp as wp
-
     from geokit.core.interop.user_arrays_kernels import first_nonfinite_kernel
 
     wide = rows if rows.dtype is wp.vec3d else _widen(rows)
@@ -523,8 +497,6 @@ def _as_warp(out: Any) -> "wp.array":
 
 def _narrowed(out: "wp.array", is_float32: bool) -> "wp.array":
     """Convert float64 results to float32 if the query was float32."""
-    import warp as wp
-
     narrow = {wp.float64: wp.float32, wp.vec3d: wp.vec3f}.get(out.dtype)
     if not is_float32 or narrow is None:
         return out
@@ -535,8 +507,6 @@ def _narrowed(out: "wp.array", is_float32: bool) -> "wp.array":
 
 def narrowed(out: "wp.array", narrow: Any) -> "wp.array":
     """Numbers or vectors of float64 as ``narrow``, of float32, on their device."""
-    import warp as wp
-
     from geokit.core.interop.user_arrays_kernels import narrow_kernel
 
     result: Any = wp.empty(out.shape, dtype=narrow, device=out.device)

@@ -1,7 +1,6 @@
 """Checks and casts of arrays that already live on a GPU, so that they need not visit the host."""
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core.atomic_kernels import lower_to

@@ -9,10 +9,8 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from types import TracebackType
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    import warp as wp
+from geokit.core.base.late_warp import wp
 
 __all__ = ["AtEnd", "later"]
 

@@ -24,16 +24,14 @@ import math
 import sys
 import threading
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from geokit.core.base.late_warp import wp
 from geokit.core.base.object_cache import ObjectCache
 from geokit.core.base.query import Query
 from geokit.core.launches import warp_private
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["Recording", "answer", "bound", "current", "refuse"]
 

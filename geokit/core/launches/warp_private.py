@@ -19,8 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-if TYPE_CHECKING:
-    import warp as wp
+from geokit.core.base.late_warp import wp
 
 __all__ = [
     "KernelArray", "PackedLaunch", "arrays_of", "descriptor_type", "has_code", "has_failed_to_build", "is_packed",
@@ -39,8 +38,6 @@ STRUCT = object()
 
 def missing() -> dict[str, str]:
     """Parts that the installed warp does not have, with what changed; geokit then uses warp's public way."""
-    import warp as wp
-
     found = {}
     checks = {"descriptor": _check_descriptor, "launch": _check_launch, "module": _check_module, "tape": _check_tape}
     for name, check in checks.items():
@@ -62,24 +59,18 @@ def _missing() -> frozenset[str]:
 
 
 def _check_descriptor() -> None:
-    import warp as wp
-
     fields = tuple(name for name, _ in type(wp.empty(0, dtype=wp.float64, device="cpu").__ctype__())._fields_)
     if fields != DESCRIPTOR:
         raise AttributeError(f"an array's descriptor has the fields {fields}, not {DESCRIPTOR}")
 
 
 def _check_launch() -> None:
-    import warp as wp
-
     lacking = {"hooks", "params", "params_addr", "bounds", "fwd_args"} - set(signature(wp.Launch.__init__).parameters)
     if lacking:
         raise AttributeError(f"a recorded launch has no {', '.join(sorted(lacking))}")
 
 
 def _check_module() -> None:
-    import warp as wp
-
     module = wp.get_module("geokit.core.launches.none")
     for name in ("load", "get_module_identifier", "_get_compile_output_name", "_get_meta_name"):
         if "block_dim" not in signature(getattr(module, name)).parameters:
@@ -89,8 +80,6 @@ def _check_module() -> None:
 
 
 def _check_tape() -> None:
-    import warp as wp
-
     wp.init()
     if not hasattr(wp._src.context.runtime, "tape"):
         raise AttributeError("warp's runtime does not hold the tape that records")
@@ -125,15 +114,11 @@ def launch_argument(argument: Any) -> Any:
 @functools.lru_cache(maxsize=1)
 def descriptor_type() -> Any:
     """The class of an array's descriptor; None if it is not known, and kernels then take warp arrays only."""
-    import warp as wp
-
     return None if "descriptor" in _missing() else type(wp.empty(0, dtype=wp.float64, device="cpu").__ctype__())
 
 
 def arrays_of(argument: Any) -> Iterator[np.ndarray]:
     """The memory of an argument of a CPU kernel: that of an array, or of all arrays in a struct."""
-    import warp as wp
-
     if isinstance(argument, wp.array) or hasattr(argument, "descriptor"):
         yield argument.numpy() if isinstance(argument, wp.array) else argument.values
     elif hasattr(argument, "__ctype__"):  # a struct
@@ -161,8 +146,6 @@ def is_packed(device: "wp.Device") -> bool:
 
 def record_launch(kernel: Any, count: int, arguments: Sequence[Any], device: "wp.Device", block_dim: int = 1) -> Any:
     """Record a launch, which can then be made any number of times."""
-    import warp as wp
-
     return wp.launch(
         kernel, count, inputs=arguments, device=device, record_tape=False, record_cmd=True, block_dim=block_dim
     )
@@ -178,8 +161,6 @@ class PackedLaunch:
     __slots__ = ("_array", "_bounds", "_command", "_kinds", "_offsets", "_struct")
 
     def __init__(self, command: Any) -> None:
-        import warp as wp
-
         command.fwd_args = None  # or it would keep arrays alive
         self._command, self._array = command, wp.array
         self._bounds: tuple[int, Any] = 0, None
@@ -237,8 +218,6 @@ def _kind_of(kind: Any) -> Any:
         (dtype, number of dimensions) for an array, the types that need no conversion for a number, the type itself for
         a vector, STRUCT for a struct, and None where warp has to convert.
     """
-    import warp as wp
-
     if hasattr(kind, "ndim"):
         return kind.dtype, kind.ndim
     if kind in (wp.int32, wp.int64, wp.uint32, wp.uint64, wp.uint8):
@@ -257,8 +236,6 @@ def _kind_of(kind: Any) -> Any:
 
 def native_library() -> Any:
     """warp's compiled library, as ctypes loaded it; None if it is not known."""
-    import warp as wp
-
     with contextlib.suppress(AttributeError):
         return wp._src.context.runtime.core
     return None
@@ -266,8 +243,6 @@ def native_library() -> Any:
 
 def last_noted_error() -> str:
     """The last error that warp's compiled library has noted in this process; empty if none, or if it is not known."""
-    import warp as wp
-
     with contextlib.suppress(AttributeError):
         return str(wp._src.context.runtime.get_error_string() or "")
     return ""
@@ -275,8 +250,6 @@ def last_noted_error() -> str:
 
 def load_module(module: Any, device: "wp.Device", block_dim: int, shipped: Any = None) -> None:
     """Compile a kernel module, or load it from the cache; or load what came with the package."""
-    import warp as wp
-
     if "module" in _missing():
         wp.load_module(module, device, block_dim=block_dim)
     elif shipped is not None:
@@ -287,8 +260,6 @@ def load_module(module: Any, device: "wp.Device", block_dim: int, shipped: Any =
 
 def module_folder(module: Any, block_dim: int) -> Path | None:
     """The folder of a module in the kernel cache; None if it is not known."""
-    import warp as wp
-
     if "module" in _missing():
         return None
     return Path(str(wp.config.kernel_cache_dir)) / str(module.get_module_identifier(block_dim))
@@ -357,8 +328,6 @@ def _first_tape() -> Any:
 
 def _unknown_tape() -> str | None:
     """Whether a tape records, by trying to begin another."""
-    import warp as wp
-
     try:
         with wp.Tape():
             return None

@@ -11,15 +11,12 @@ import os
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from geokit.core.base.late_warp import wp
 from geokit.core.base.system import UNLIMITED, limits, said
 from geokit.core.launches import captured
 from geokit.core.launches.cuda_driver import cuda_driver
 from geokit.errors import DeviceMemoryError
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["available", "available_host", "require_room"]
 

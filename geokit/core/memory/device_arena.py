@@ -8,12 +8,12 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
+from geokit.core.base.late_warp import wp
 from geokit.core.launches.warp_private import KernelArray
 from geokit.core.memory.host_array import array_descriptor
 
 if TYPE_CHECKING:
     import numpy as np
-    import warp as wp
 
 __all__ = ["Scratch", "ScratchArray"]
 
@@ -32,8 +32,6 @@ class Scratch:
     __slots__ = ("arrays", "device", "memory")
 
     def __init__(self, device: "wp.Device", *shapes: tuple[tuple[int, ...], Any], zeroed: bool = False) -> None:
-        import warp as wp
-
         sizes = [math.prod(shape) * wp.types.type_size_in_bytes(dtype) for shape, dtype in shapes]
         starts, total = [], 0
         for size in sizes:
@@ -69,16 +67,12 @@ class ScratchArray(KernelArray):
     @property
     def descriptor(self) -> Any:
         if self._descriptor is None:
-            import warp as wp
-
             self._descriptor = array_descriptor(self.ptr, self.shape, wp.types.type_size_in_bytes(self.dtype))
         return self._descriptor
 
     @property
     def warp(self) -> "wp.array":
         """A warp array over the same memory, which it keeps alive."""
-        import warp as wp
-
         if self._warp is None:
             self._warp = wp.array(ptr=self.ptr, dtype=self.dtype, shape=self.shape, device=self.device)
             self._warp._geokit_source = self._scratch.memory

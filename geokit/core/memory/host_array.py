@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import functools
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from geokit.core.base.late_warp import wp
 from geokit.core.launches import prepared, warp_private
 from geokit.core.launches.warp_private import KernelArray
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["HostArray", "array_descriptor", "row_of"]
 
@@ -47,8 +45,6 @@ class HostArray(KernelArray):
 
     @property
     def device(self) -> "wp.Device":
-        import warp as wp
-
         return wp.get_device("cpu")
 
     @property
@@ -61,8 +57,6 @@ class HostArray(KernelArray):
     @property
     def warp(self) -> "wp.array":
         """A warp array over the same memory."""
-        import warp as wp
-
         if self._warp is None:
             values = self.values
             vector = wp.vec3f if values.dtype == np.float32 else wp.vec3d
@@ -94,7 +88,5 @@ def array_descriptor(data: int, shape: tuple[int, ...], size: int) -> Any:
 @functools.lru_cache(maxsize=64)
 def row_of(dtype: Any) -> np.ndarray:
     """An empty NumPy array with the dtype and row shape of a warp type: (0,) numbers, or (0, 3) for vectors."""
-    import warp as wp
-
     none: np.ndarray = wp.empty(0, dtype=dtype, device="cpu").numpy()
     return none

@@ -6,15 +6,13 @@ loop over frames or time steps reuses the memory of its previous results.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from geokit.core.base.late_warp import wp
 from geokit.core.memory.host_array import HostArray
 from geokit.core.memory.memory_pool import MemoryPool
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["empty", "empty_warp", "release"]
 
@@ -41,8 +39,6 @@ def empty(shape: tuple[int, ...], dtype: Any) -> np.ndarray:
 
 def empty_warp(count: int, dtype: Any, device: "wp.Device") -> "wp.array":
     """An uninitialized warp array, as from ``warp.empty``; on a CPU a large one comes from the pool."""
-    import warp as wp
-
     if device.is_cuda:
         return wp.empty(count, dtype=dtype, device=device)
     return HostArray(empty((count,), wp.dtype_to_numpy(dtype))).warp

@@ -8,15 +8,13 @@ from __future__ import annotations
 
 import functools
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from geokit.core.base.late_warp import wp
 from geokit.core.launches import captured, prepared, warp_private
 from geokit.core.memory.host_array import HostArray
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["FEWEST_ROWS", "Pinned", "PinnedArray", "host_arrays", "host_flags", "release", "uses_pinned_memory"]
 
@@ -153,8 +151,6 @@ def host_flags(count: int, device: "wp.Device") -> HostArray:
 @functools.lru_cache(maxsize=16)
 def _unread(device: str) -> PinnedArray:
     """Where graphs raise their flags, for as long as the process lives."""
-    import warp as wp
-
     return Pinned(wp.get_device(device)).take((MOST_FLAGS,), np.int32)
 
 
@@ -185,8 +181,6 @@ def _buffer() -> np.ndarray:
 
 
 def _made(size: int) -> np.ndarray:
-    import warp as wp
-
     # The NumPy array keeps the warp array alive, which owns the memory.
     pinned = bool(wp.is_cuda_available())
     made: np.ndarray = wp.empty(size, dtype=wp.uint8, device="cpu", pinned=pinned).numpy()
@@ -194,8 +188,6 @@ def _made(size: int) -> np.ndarray:
 
 
 def _synchronize(device: "wp.Device", event: Any = None) -> None:
-    import warp as wp
-
     if event is not None:
         wp.synchronize_event(event)
     elif device.is_cuda:

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core.base.forks import Lock
-
-if TYPE_CHECKING:
-    import warp as wp
+from geokit.core.base.late_warp import wp
 
 __all__ = ["Parts", "handed_out", "layout_of_struct", "struct_array", "struct_rows", "struct_table"]
 
@@ -47,8 +45,6 @@ def _layout_of(struct: Any) -> np.dtype[Any]:
 
 def struct_array(table: NDArray[Any], struct: Any, device: "wp.Device") -> "wp.array":
     """An array of structs on a device, as ``warp.array(table, dtype=struct)``, which parses the struct at each call."""
-    import warp as wp
-
     rows = table.copy()
     there = {"dtype": struct, "shape": (len(rows),), "device": device}
     if device.is_cpu:
@@ -74,8 +70,6 @@ def struct_table(struct: Any, count: int, **fields: Any) -> NDArray[Any]:
         fields: Values by field: an array of one value each, a table of structs, :class:`Parts` of an array, or one
             array for all of them. Other fields are 0.
     """
-    import warp as wp
-
     table = np.zeros(count, layout_of_struct(struct))
     for name, value in fields.items():
         if isinstance(value, wp.array):
@@ -96,8 +90,6 @@ def struct_rows(struct: Any, values: Iterable[Any]) -> NDArray[Any]:
 
 def handed_out(struct: Any, device: "wp.Device", owner: Any) -> Any:
     """A struct for kernels of the user's: it keeps its owner alive, and has no array that is None, as a Tape wants."""
-    import warp as wp
-
     for name, field in struct._cls.vars.items():
         value = getattr(struct, name)
         if value is None:

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import threading
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from geokit.core.base.late_warp import wp
 from geokit.core.launches.warp_private import last_noted_error
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["allocating", "sort_pairs"]
 
@@ -50,8 +48,6 @@ class allocating:
             taken.extend(map(_one_at_a_time.acquire, (True,)))
             self._had_error = bool(last_noted_error())
             if self._fatal or self._had_error:
-                import warp as wp
-
                 wp.empty((-(-self._size // ROUNDING), ROUNDING), dtype=wp.uint8, device=self._device)
         except BaseException:
             if taken:
@@ -74,7 +70,5 @@ def sort_pairs(keys: "wp.array", values: "wp.array", count: int, **bits: Any) ->
     Raises:
         RuntimeError: A GPU has no memory for it.
     """
-    import warp as wp
-
     with allocating(keys.device, count):
         wp.utils.radix_sort_pairs(keys, values, count, **bits)

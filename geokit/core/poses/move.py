@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.base.query import Query
 from geokit.core.gradients.rules import held_by, is_tracked
 from geokit.core.interop import user_arrays
@@ -64,8 +65,6 @@ def _require_orthonormal(maps: NDArray[np.float64], named: str) -> None:
 
 def move(rows: Any, matrix: NDArray[np.float64], *, turned: bool = False) -> Any:
     """Rows on a device where the map places them; ``turned`` only, for directions."""
-    import warp as wp
-
     from geokit.core.poses.move_kernels import move_kernel
 
     shift = np.zeros(3) if turned else matrix[:3, 3]
@@ -82,8 +81,6 @@ def move_packed(
 
     Of ``count`` rows, if that is more than there are, each map makes as many as there are, from all of them.
     """
-    import warp as wp
-
     from geokit.core.poses.move_kernels import move_packed_kernel
 
     device = rows.device
@@ -143,8 +140,6 @@ def answer_placed(query: Query, given: tuple[Any, ...], options: dict[str, Any])
 
 def _mover(count: int, poses: int, device: Any) -> Callable[..., Any]:
     """:func:`move` by many poses: of ``count`` rows, or of those of each pose, one after the other."""
-    import warp as wp
-
     if count * poses > np.iinfo(np.int32).max:
         raise InputError(f"transform: {poses} poses of {count} rows are more than 2^31 - 1; ask for fewer at a time")
     captured.refuse(device, "transform: many poses are copied from the host")

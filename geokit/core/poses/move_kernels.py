@@ -1,7 +1,6 @@
 """Rows where a map places them."""
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core.scan_kernels import part_of

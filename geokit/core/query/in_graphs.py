@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.base.object_cache import ObjectCache
 from geokit.core.base.query import Query
 from geokit.core.interop.objects import getattr_or_none
@@ -82,8 +83,6 @@ def _capture_of_torch(device: Any, values: tuple[Any, ...]) -> Any:
     if torch is None or not places or not torch.cuda.is_current_stream_capturing():
         yield
         return
-    import warp as wp
-
     stream = wp.stream_from_torch(torch.cuda.current_stream(places[0]))
     if stream in stream.device.captures:  # a capture of warp's, in which torch is asked
         yield

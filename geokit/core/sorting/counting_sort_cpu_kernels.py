@@ -1,7 +1,6 @@
 """The prefix sum of a counting sort: where each bucket begins, and each share of the items within it."""
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 wp.set_module_options({"enable_backward": False})

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.frame import Frame
 from geokit.core.memory.unchecked import sort_pairs
 from geokit.core.scan import prefix_sum
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["build_binary_tree"]
 
@@ -28,8 +26,6 @@ def build_binary_tree(vertices: "wp.array", faces: "wp.array", frame: Frame) -> 
         vertices, faces: World coordinates (V,) of vec3d, and three indices for each triangle.
         frame: The local frame.
     """
-    import warp as wp
-
     from geokit.mesh.bvh import bvh2_cuda_kernels as kernels
     from geokit.mesh.bvh.leaf_planes_kernels import SLOT_WORDS, leaf_planes_kernel
     from geokit.mesh.bvh.ray_walk_kernels import RAY_PADDING
@@ -68,8 +64,6 @@ def _merged(vertices: "wp.array", faces: "wp.array", placed: tuple[Any, Any]) ->
         Meister, Bittner, "Parallel locally-ordered clustering for bounding volume hierarchy construction" (2018).
         Differs: blocks of threads merge clusters in several rounds, each its own.
     """
-    import warp as wp
-
     from geokit.mesh.bvh import bvh2_cuda_kernels as kernels
 
     device, count = vertices.device, len(faces) // 3

@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.memory import host_pool
 from geokit.core.memory.host_array import HostArray, row_of
 
 if TYPE_CHECKING:
-    import warp as wp
-
     from geokit.core.frame import Frame
 
 __all__ = ["WideTrees", "build_wide_trees", "offsets_of", "place_triangles", "ray_leaves", "refit_wide_tree"]
@@ -69,8 +68,6 @@ def build_wide_trees(
         Wald, "On fast construction of SAH-based bounding volume hierarchies" (2007), for the bins; Wald, Benthin,
         Boulos, "Getting rid of packets" (2008), for wide nodes by opening the child of largest area.
     """
-    import warp as wp
-
     from geokit.mesh.bvh import bvh8_build_cpu_kernels as kernels
 
     device = wp.get_device("cpu")
@@ -141,8 +138,6 @@ def place_triangles(
         slot_triangle, slots: As of :class:`WideTrees`.
         vertices, faces, origins, scales: As of :func:`build_wide_trees`.
     """
-    import warp as wp
-
     from geokit.mesh.bvh.bvh8_build_cpu_kernels import place_blocks_kernel
     from geokit.mesh.bvh.leaf_planes_kernels import PLANE_ROWS
 
@@ -161,8 +156,6 @@ def ray_leaves(
     scales: NDArray[np.float64],
 ) -> "wp.array":
     """The packed leaves for rays; the arguments are those and the answer of :func:`place_triangles`."""
-    import warp as wp
-
     from geokit.mesh.bvh.bvh8_build_cpu_kernels import LEAF_WORDS, ray_leaves_kernel
 
     device, blocks = slot_triangle.device, len(slot_triangle) // WIDTH
@@ -174,8 +167,6 @@ def ray_leaves(
 
 def refit_wide_tree(tree: Any, frame: Frame) -> None:
     """Recompute the boxes of the tree's nodes after its ``corners`` have moved."""
-    import warp as wp
-
     from geokit.mesh.bvh.bvh8_build_cpu_kernels import block_boxes_kernel, refit_kernel
 
     device = tree.corners.device
@@ -208,8 +199,6 @@ def tree_array(size: int, dtype: Any, device: "wp.Device") -> "wp.array":
     asks Linux for huge pages from 4 MiB on, where the system provides them on request; warp and malloc do not. The host
     pool (core/memory/host_pool.py) is not used, because trees live long.
     """
-    import warp as wp
-
     if device.is_cuda:
         return wp.empty(size, dtype=dtype, device=device)
     length = size * wp.types.type_size_in_bytes(dtype)

@@ -5,7 +5,6 @@ threads build subtrees. The node numbers do not depend on the number of threads.
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import numpy as np
 import warp as wp
 

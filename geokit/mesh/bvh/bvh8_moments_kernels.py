@@ -8,7 +8,6 @@ order l takes 2l + 1 numbers: 15 in all, where symmetric tensors have 19 and ful
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import numpy as np
 import warp as wp
 

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core.base.forks import Lock
+from geokit.core.base.late_warp import wp
 from geokit.core.memory.struct_array import Parts, struct_table
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["Forest"]
 
@@ -91,8 +89,6 @@ class Forest:
 
     def tree(self, mesh: int) -> Any:
         """The :class:`SurfaceTree` of one mesh, over the same memory."""
-        import warp as wp
-
         from geokit.mesh.bvh.tree_kernels import SurfaceTree
 
         tree: Any = SurfaceTree()
@@ -109,8 +105,6 @@ class Forest:
             meshes: Rows of the meshes.
             flipped: Faces whose winding counts as reversed, (F,).
         """
-        import warp as wp
-
         from geokit.mesh.bvh.winding_kernels import WindingTree
         from geokit.mesh.bvh.winding_moments import build_moments
 

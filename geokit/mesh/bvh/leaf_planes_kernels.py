@@ -7,7 +7,6 @@ the corners lose digits with the square of the distance or of the thinness.)
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})

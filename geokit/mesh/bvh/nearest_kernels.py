@@ -1,7 +1,6 @@
 """The slot of the nearest triangle, shared by all queries that need it."""
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import numpy as np
 import warp as wp
 

@@ -7,7 +7,6 @@ candidates.
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import numpy as np
 import warp as wp
 

@@ -1,7 +1,6 @@
 """The handle through which kernels access a prepared surface."""
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

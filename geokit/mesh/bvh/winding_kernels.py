@@ -5,7 +5,6 @@ multipole moments, nearby triangles by their solid angles. On CUDA warp's own tr
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import numpy as np
 import warp as wp
 

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.memory.host_array import HostArray
 from geokit.core.memory.struct_array import Parts, struct_array, struct_rows, struct_table
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["build_moments", "build_winding_tree", "winding_tree_of_mesh"]
 
@@ -29,8 +27,6 @@ def build_winding_tree(tree: Any, flipped: NDArray[np.bool_] | None = None) -> A
     Returns:
         A :class:`WindingTree`. It must be rebuilt after the tree's corners have moved.
     """
-    import warp as wp
-
     from geokit.mesh.bvh.tree_kernels import SurfaceTree
     from geokit.mesh.bvh.winding_kernels import WindingTree
 
@@ -64,8 +60,6 @@ def build_moments(
         Barill, Dickson, Schmidt, Levin, Jacobson, "Fast Winding Numbers for Soups and Clouds" (2018). Differs: harmonic
         moments of three orders, of exact integrals over triangles.
     """
-    import warp as wp
-
     from geokit.mesh.bvh.bvh8_moments_kernels import MOMENT_ROWS, RAW_SIZE, TreeMoments, moments_kernel
 
     device = children.device
@@ -85,8 +79,6 @@ def build_moments(
 
 def winding_tree_of_mesh(mesh: "wp.Mesh") -> Any:
     """Data for winding numbers on CUDA: warp's tree of a Mesh with ``support_winding_number``."""
-    import warp as wp
-
     from geokit.mesh.bvh.winding_kernels import WindingTree
 
     winding = WindingTree()

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.base.snapshot import snapshot
 from geokit.core.gradients.rules import untracked
 from geokit.core.memory import available_memory
@@ -150,8 +151,6 @@ class ContactQueries(SignQueries, DistanceQueries):
 
     def _within(self, margin: float, other: Any, maps: Floats, scale: Floats) -> tuple[NDArray[Any], ...]:
         """The number of pairs within the margin in each pose; their faces, distances, areas and points, by faces."""
-        import warp as wp
-
         from geokit.mesh.queries.distance_kernels import list_within_kernel
 
         device, leaves = self._device, self._leaf_count

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
 from geokit.core.base.forks import Lock
+from geokit.core.base.late_warp import wp
 from geokit.core.download import download
 from geokit.core.memory.pinned import host_arrays
 from geokit.mesh.model.triangle_mesh import TriangleMesh
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["DeviceArrays", "arrays_on", "box_of", "mesh_on_device", "vertices_near"]
 
@@ -52,8 +50,6 @@ class DeviceArrays:
 
 def box_of(points: "wp.array") -> NDArray[np.float64]:
     """Bounding box of points, (N,) of vec3d with N at least 1, as shape (2, 3); minimum and maximum need no order."""
-    import warp as wp
-
     from geokit.core.frame_kernels import boxes_kernel
 
     device = points.device
@@ -82,8 +78,6 @@ def mesh_on_device(vertices: "wp.array", faces: "wp.array", name: str, **said: A
 
 def arrays_on(mesh: TriangleMesh, device: "wp.Device") -> tuple["wp.array", "wp.array"]:
     """Vertices, (V,) of vec3d, and faces, (3 F,) of int32, on a device: the mesh's own arrays if they are there."""
-    import warp as wp
-
     held = mesh._on_device
     if held is not None and held.vertices.device == device:
         return held.vertices, held.faces

@@ -1,7 +1,6 @@
 """Closest point on a surface, one query a thread."""
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core.interop.user_arrays_kernels import is_measurable

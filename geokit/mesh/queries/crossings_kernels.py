@@ -1,7 +1,6 @@
 """All crossings of rays with a surface: first their number, then the ordered list."""
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

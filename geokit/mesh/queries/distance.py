@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.base.snapshot import snapshot
 from geokit.core.interop.user_arrays import LARGEST_MEASURED
 from geokit.core.query.ask import query
@@ -114,16 +115,12 @@ class DistanceQueries(OverlapQueries):
         return [np.concatenate(part) for part in zip(*parts, strict=True)]
 
     def _on_device(self, values: NDArray[Any], dtype: Any) -> Any:
-        import warp as wp
-
         return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self._device)
 
     def _distances(
         self, other: OverlapQueries, maps: NDArray[np.float64], unit: NDArray[np.float64]
     ) -> tuple[NDArray[Any], ...]:
         """The fields of the answer for some poses."""
-        import warp as wp
-
         from geokit.mesh.queries import distance_kernels as kernels
 
         device, slots, leaves, upload = self._device, len(self._tree.slot_triangle), self._leaf_count, self._on_device

@@ -2,7 +2,6 @@
 the nearest of all), or all within a margin."""
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

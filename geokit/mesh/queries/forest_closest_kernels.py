@@ -1,7 +1,6 @@
 """Closest points on many surfaces: each query asks one of them."""
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core.scan_kernels import part_of

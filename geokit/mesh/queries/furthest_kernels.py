@@ -1,7 +1,6 @@
 """Furthest point of a surface, always a vertex; the tree is pruned by the far corners of its boxes."""
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

@@ -9,12 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.memory.host_array import HostArray
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 
 if TYPE_CHECKING:
-    import warp as wp
-
     from geokit.mesh.surfaces.surface import Surface
 
 __all__ = ["BLOCK", "MOST_WAITING", "DistanceSearch", "TrianglePieces", "joined_pieces"]
@@ -136,8 +135,6 @@ class DistanceSearch:
         return both
 
     def _bound(self, pieces: TrianglePieces) -> None:
-        import warp as wp
-
         from geokit.mesh.queries.hausdorff_kernels import bound_kernel
 
         flat = pieces.corners.reshape(-1, 3), pieces.distance.reshape(-1), pieces.triangle.reshape(-1), pieces.depth

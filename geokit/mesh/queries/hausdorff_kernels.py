@@ -7,7 +7,6 @@ cut at the point equally far from both triangles: each half then has one of them
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.mesh.triangle.closest_kernels import closest_on_triangle, offset_from_triangle

@@ -4,7 +4,6 @@ Triangles that intersect boxes: first their number for each box, then the list.
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.base.snapshot import snapshot
 from geokit.core.interop import user_arrays
 from geokit.core.interop.types import Array, Rows
@@ -22,8 +23,6 @@ from geokit.core.require import require_one_world
 from geokit.errors import InputError
 
 if TYPE_CHECKING:
-    import warp as wp
-
     from geokit.core.frame import Frame
     from geokit.mesh.model.triangle_mesh import TriangleMesh
 
@@ -78,8 +77,6 @@ class OverlapQueries:
             >>> surface.overlapping([[0, 0, 0], [0.8, 0.8, 0]], [[0.1, 0.1, 0], [1, 1, 0]]).offsets
             array([0, 1, 1])
         """
-        import warp as wp
-
         from geokit.mesh.queries.intersecting_kernels import (
             count_overlaps_kernel,
             list_overlaps_kernel,
@@ -161,8 +158,6 @@ class OverlapQueries:
         ``sense`` is -1 where one body is wound inward. Where ``other`` is this surface, ``body`` has the body of each
         face, -1 for none.
         """
-        import warp as wp
-
         from geokit.mesh.queries.intersecting_kernels import find_facing_kernel
 
         label = wp.array(np.zeros(0, np.int32) if body is None else body, dtype=wp.int32, device=self._device)
@@ -175,8 +170,6 @@ class OverlapQueries:
         return bool(found.numpy()[0])
 
     def _pairs(self, other: "OverlapQueries") -> NDArray[np.int32]:
-        import warp as wp
-
         from geokit.mesh.queries.intersecting_kernels import count_pairs_kernel, fill_pairs_kernel
 
         device, inputs = self._device, self._pair_inputs(other)
@@ -199,8 +192,6 @@ class OverlapQueries:
         return np.stack([key >> 32, key & 0xFFFFFFFF], axis=1).astype(np.int32)
 
     def _pair_inputs(self, other: "OverlapQueries") -> list[Any]:
-        import warp as wp
-
         # A power of two scales without rounding; unscaled, products of corners could underflow.
         unit = 2.0 ** -round(math.log2(max(self._frame.scale, other._frame.scale)))
         return [self._tree, other._tree, other._slot_boxes, other is self, wp.float64(unit)]
@@ -214,8 +205,6 @@ class OverlapQueries:
     def _slot_boxes(self) -> "wp.array":
         """Boxes of the triangles in blocks of eight, one for each leaf; empty on a GPU, which has one triangle per
         leaf."""
-        import warp as wp
-
         from geokit.mesh.bvh.tree_kernels import slot_boxes_kernel
 
         slots = len(self._tree.slot_triangle) if self._device.is_cpu else 0
@@ -251,8 +240,6 @@ def _require_boxes(lower: user_arrays.Batch, upper: user_arrays.Batch) -> None:
 
 
 def _sort(key: "wp.array", count: int) -> None:
-    import warp as wp
-
     if key.device.is_cpu:
         key.numpy()[:count].sort()  # in place: the NumPy array shares the memory of key
         return

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.blocks.chunked_queries import Progress, in_chunks
 from geokit.core.blocks.several_devices import LEAST_ON_GPUS
 from geokit.core.gradients.rules import untracked
@@ -25,8 +26,6 @@ from geokit.mesh.attributes.interpolation import chosen_names, interpolated, int
 from geokit.mesh.topology.size_limits import require_measurable
 
 if TYPE_CHECKING:
-    import warp as wp
-
     from geokit.core.frame import Frame
     from geokit.core.memory.host_array import HostArray
     from geokit.mesh.model.triangle_mesh import TriangleMesh
@@ -190,8 +189,6 @@ class PointQueries:
         Raises:
             InputError: points is not (N, 3) or not finite, or the transform is not rigid (to 1e-6).
         """
-        import warp as wp
-
         from geokit.mesh.queries.furthest_kernels import furthest_point_kernel
 
         largest = user_arrays.LARGEST_MEASURED
@@ -202,8 +199,6 @@ class PointQueries:
 
     def _closest(self, points: Any, max_distance: float, bad: HostArray) -> ClosestPoints:
         """Closest points; ``bad`` is raised if a point is not finite, and such a point is a miss."""
-        import warp as wp
-
         from geokit.mesh.queries.closest_point_kernels import closest_point_kernel
 
         count, device = len(points), self._device

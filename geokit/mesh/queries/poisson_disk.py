@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.memory import available_memory
 from geokit.core.memory.host_array import HostArray
 from geokit.errors import DeviceMemoryError, InputError
@@ -62,8 +63,6 @@ class _Darts:
         self, candidates: NDArray[np.float64], nearest: NDArray[np.float64], radius: float, wanted: int
     ) -> NDArray[np.int32]:
         """Take candidates until there are ``wanted`` points; returns the rows of those taken, in their order."""
-        import warp as wp
-
         from geokit.mesh.queries.poisson_disk_kernels import throw_kernel
 
         before = self.count
@@ -78,8 +77,6 @@ class _Darts:
 
     def _make_room(self, most: int, radius: float) -> None:
         """Provide arrays for ``most`` points, and cells that suit the radius and the number of points."""
-        import warp as wp
-
         from geokit.mesh.queries.poisson_disk_kernels import DartGrid, insert_kernel
 
         # A cell much longer than the radius holds many points, and so does a chain that many cells share.

@@ -5,7 +5,6 @@ takes about 0.3 us per candidate.
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 # Fused multiply-adds would round squared distances differently from what callers can compute themselves.

@@ -1,7 +1,6 @@
 """First hits and occlusion of rays, watertight at shared edges and vertices."""
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

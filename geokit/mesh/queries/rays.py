@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.blocks.chunked_queries import Progress, in_chunks
 from geokit.core.interop import user_arrays
 from geokit.core.interop.types import Array, Rows
@@ -22,7 +23,6 @@ from geokit.errors import InputError
 from geokit.mesh.topology.size_limits import require_measurable
 
 if TYPE_CHECKING:
-    import warp as wp
     from numpy.typing import ArrayLike
 
     from geokit.core.frame import Frame
@@ -141,8 +141,6 @@ class RayQueries:
             >>> surface.raycast([[0.25, 0.25, 2.0]], [[0, 0, -1]]).t
             array([2.])
         """
-        import warp as wp
-
         from geokit.mesh.queries.raycast_kernels import raycast_kernel
 
         require_measurable(self.mesh, self._frame)
@@ -197,8 +195,6 @@ class RayQueries:
         Source:
             Edelsbrunner, Mücke, "Simulation of Simplicity" (1990), for rays through edges and vertices.
         """
-        import warp as wp
-
         from geokit.mesh.queries.crossings_kernels import list_crossings_kernel
 
         rays, heading = user_arrays.read_rows([origins, directions], NAMES, self._device, defer=True)
@@ -270,8 +266,6 @@ class RayQueries:
         Raises:
             InputError: The same conditions as for :meth:`raycast`.
         """
-        import warp as wp
-
         from geokit.mesh.queries.raycast_kernels import occluded_kernel
 
         def query(rays: user_arrays.Batch, heading: user_arrays.Batch) -> Any:
@@ -311,8 +305,6 @@ class RayQueries:
     def _count_crossings(
         self, rays: user_arrays.Batch, directions: user_arrays.Batch, t_min: float, max_distance: float
     ) -> "wp.array":
-        import warp as wp
-
         from geokit.mesh.queries.crossings_kernels import count_crossings_kernel
 
         count = user_arrays.empty(len(rays), wp.int32, rays.rows)
@@ -390,8 +382,6 @@ def wide_slots(corners: "wp.array") -> "wp.array":
     Args:
         corners: World corners of the triangle in each slot, three per slot.
     """
-    import warp as wp
-
     from geokit.mesh.bvh import tree_kernels as kernels
 
     device, slots = corners.device, len(corners) // 3

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from geokit.core.base.late_warp import wp
 from geokit.core.memory.pinned import host_flags
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.sign.left_out import EXTREME_SIZE, INNER_POINT
@@ -123,8 +124,6 @@ def choose_side(surface: Surface) -> SignChoice:
 
 def _encloses(surface: Surface) -> bool:
     """Whether there is a closed body, or an open one, as a scan with holes."""
-    import warp as wp
-
     mesh, frame = surface.mesh, surface._frame
     if not 1.0 / EXTREME_SIZE < frame.scale < EXTREME_SIZE:
         return True

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
 from geokit.core.base.forks import Lock
+from geokit.core.base.late_warp import wp
 from geokit.core.equal_rows import merge_equal_points, repeated_triples
 from geokit.core.memory.host_array import HostArray
 from geokit.core.memory.struct_array import Parts, struct_array, struct_rows, struct_table
@@ -22,9 +23,6 @@ from geokit.mesh.sign.queries import FAR
 from geokit.mesh.topology.connectivity import MeshTopology, Topology, collapsed_faces, connected_components
 from geokit.mesh.topology.measures import DEGENERATE_RATIO, measure_each
 from geokit.mesh.topology.orientation import FLAT_SHARE
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["ForestSigns"]
 
@@ -184,8 +182,6 @@ class ForestSigns:
             return table
 
     def _simple_pseudonormals(self) -> NDArray[Any]:
-        import warp as wp
-
         from geokit.mesh.sign.pseudonormals import pseudonormal_tables
         from geokit.mesh.sign.pseudonormals_kernels import Pseudonormals
 
@@ -212,8 +208,6 @@ class ForestSigns:
 
 def _self_intersecting(forest: Forest, meshes: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Which of some meshes have self-intersections, as :meth:`geokit.mesh.Surface.self_intersections` lists them."""
-    import warp as wp
-
     from geokit.mesh.queries import intersecting_kernels as kernels
 
     device, count, slots = forest.device, len(forest.scales), int(forest.slots[-1])

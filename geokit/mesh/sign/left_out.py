@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core.base.late_warp import wp
 from geokit.core.memory.pinned import host_flags
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.topology.audit import face_parts
@@ -54,8 +55,6 @@ TOWARD_CORNER = 0.999
 
 def left_out_faces(surface: Surface) -> NDArray[np.int64]:
     """Rows of the faces that are left out, ascending."""
-    import warp as wp
-
     copies, piece, whole = surface._orientation.doubled
     if not whole.any():
         return np.asarray(copies)

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.interop import user_arrays
 from geokit.core.memory.pinned import host_flags
-
-if TYPE_CHECKING:
-    import warp as wp
 
 # Directions of the parity rays; none is along an axis or diagonal, where edges and vertices often line up.
 PARITY_DIRECTIONS = (
@@ -32,8 +30,6 @@ def any_missed(triangle_id: "wp.array") -> bool:
 
 def by_parity(surface: Any, points: "wp.array", distance: "wp.array") -> None:
     """Give distances the sign that most rays in PARITY_DIRECTIONS show."""
-    import warp as wp
-
     from geokit.mesh.sign.parity_kernels import parity_sign_kernel, vote_kernel
 
     count, device = len(points), points.device

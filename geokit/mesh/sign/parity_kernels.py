@@ -1,7 +1,6 @@
 """Signs of distances by winding numbers and by parity of rays; pseudonormals_kernels.py has the third method."""
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})

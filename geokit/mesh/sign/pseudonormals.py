@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.memory.host_array import HostArray
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.topology.connectivity import MeshTopology
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["pseudonormal_tables"]
 
@@ -32,8 +30,6 @@ def pseudonormal_tables(
     Source:
         Baerentzen, Aanaes, "Signed Distance Computation Using the Angle Weighted Pseudonormal" (2005).
     """
-    import warp as wp
-
     from geokit.mesh.sign.pseudonormals_kernels import Pseudonormals
 
     device = vertices.device
@@ -68,8 +64,6 @@ def _vertex_normals(
     mesh: TriangleMesh, flipped: NDArray[np.bool_], corners: NDArray[np.int32], position_count: int
 ) -> NDArray[np.float64]:
     """Vertex normals, computed on the host in the order of the corners, so that all devices get the same bits."""
-    import warp as wp
-
     from geokit.mesh.sign.pseudonormals_kernels import corner_normals_kernel
 
     host = wp.get_device("cpu")

@@ -1,7 +1,6 @@
 """Angle-weighted vertex normals, and signs of distances by the normal at the closest point."""
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core.scan_kernels import part_of

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geokit._warn import warn
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.blocks.chunked_queries import Progress, in_chunks
 from geokit.core.blocks.several_devices import LEAST_ON_GPUS
 from geokit.core.interop import user_arrays
@@ -23,9 +24,6 @@ from geokit.core.query.ask import query
 from geokit.core.require import require_choice, require_flag
 from geokit.mesh.queries.points import ClosestPoints, PointQueries, checked_radius, refuse_raised
 from geokit.mesh.topology.size_limits import require_measurable
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["SignQueries", "SignedDistances"]
 
@@ -179,8 +177,6 @@ class SignQueries(PointQueries):
             InputError: points is not (N, 3) or not finite, there is no such sign, or the transform is not rigid (to
                 1e-6) or is given beside tensors with gradients.
         """
-        import warp as wp
-
         from geokit.mesh.sign.parity_kernels import is_negative_kernel
 
         if self._signs is not self:
@@ -278,8 +274,6 @@ class SignQueries(PointQueries):
         Raises:
             InputError: points is not (N, 3) or not finite, or the transform is not rigid (to 1e-6).
         """
-        import warp as wp
-
         from geokit.mesh.sign.parity_kernels import confidence_kernel
 
         batch = user_arrays.read_vectors(points, "points", self._device, defer=True, pin=True, single=True)
@@ -459,8 +453,6 @@ class SignQueries(PointQueries):
 
     def _sign(self, method: str, points: "wp.array", closest: ClosestPoints, reach: float) -> None:
         """Negate the distances of inside points in place; ``reach`` is the search radius."""
-        import warp as wp
-
         from geokit.mesh.sign import parity
         from geokit.mesh.sign.parity_kernels import missed_sign_kernel, take_sign_kernel
         from geokit.mesh.sign.pseudonormals_kernels import pseudonormal_sign_kernel
@@ -489,8 +481,6 @@ class SignQueries(PointQueries):
 
     def _judged(self, method: str, points: Any, reach: float, bad: HostArray) -> ClosestPoints:
         """Distances that are negative inside; without closest points where the method needs none."""
-        import warp as wp
-
         if method == "pseudonormal":
             found = self._closest(points, reach, bad)
         else:
@@ -501,8 +491,6 @@ class SignQueries(PointQueries):
 
     def _winding(self, points: "wp.array", bad: HostArray, arguments: list[Any] | None = None) -> "wp.array":
         """Winding numbers; ``bad`` is raised if a point is not finite, and such a point has no number."""
-        import warp as wp
-
         from geokit.mesh.bvh.winding_kernels import winding_number_kernel
 
         winding = user_arrays.empty(len(points), wp.float64, points)
@@ -512,8 +500,6 @@ class SignQueries(PointQueries):
 
     @cached_property
     def _winding_tree(self) -> Any:
-        import warp as wp
-
         from geokit.mesh.bvh.winding_moments import build_winding_tree, winding_tree_of_mesh
 
         flipped: NDArray[np.bool_] = self._orientation.flipped
@@ -541,14 +527,10 @@ class SignQueries(PointQueries):
 
     def _winding_arguments_of_all(self) -> list[Any]:
         """Those of all faces of this mesh, wound as ``orientation`` says."""
-        import warp as wp
-
         # The winding number of a closed mesh is zero everywhere outside its box.
         empty = 1.0 if self._orientation.closed else math.inf
         return [self._tree, self._winding_tree, wp.float64(empty)]
 
     def _winding_arguments_as_given(self) -> list[Any]:
-        import warp as wp
-
         whole = self._orientation.closed and self._orientation.flipped.mean() in (0.0, 1.0)
         return [self._tree, self._winding_tree_as_given, wp.float64(1.0 if whole else math.inf)]

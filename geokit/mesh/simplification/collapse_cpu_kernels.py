@@ -1,7 +1,6 @@
 """Edge collapse by quadric errors: vertices are prepared side by side, edges of a part are collapsed by one thread."""
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.base.object_cache import CacheAttribute
 from geokit.core.blocks.several_devices import OnDevices, replicas, shows_arguments
 from geokit.core.frame import Frame
@@ -30,7 +31,6 @@ from geokit.mesh.surfaces.objects import require_mesh
 from geokit.mesh.topology.size_limits import require_measurable
 
 if TYPE_CHECKING:
-    import warp as wp
     from numpy.typing import ArrayLike
 
     from geokit.mesh.surfaces.user_kernels import Surface as InKernels
@@ -138,8 +138,6 @@ class Surface(MotionQueries, RayQueries):
         self._place_blocks()
 
     def _refit_wide_tree(self) -> None:
-        import warp as wp
-
         from geokit.mesh.bvh.bvh8 import refit_wide_tree
         from geokit.mesh.bvh.tree_kernels import SurfaceTree
 
@@ -161,8 +159,6 @@ class Surface(MotionQueries, RayQueries):
 
     def _place_blocks(self) -> None:
         """Store the frame, and the triangles in slot order: world corners in float64, and planes in float32."""
-        import warp as wp
-
         from geokit.mesh.bvh.bvh8 import place_triangles
 
         tree = self._tree
@@ -195,8 +191,6 @@ class Surface(MotionQueries, RayQueries):
         return kept.get("_made_warp_mesh") or kept.setdefault("_made_warp_mesh", self._make_warp_mesh(self._faces))
 
     def _make_warp_mesh(self, faces: "wp.array") -> "wp.Mesh":
-        import warp as wp
-
         from geokit.core.frame_kernels import local_kernel
 
         # Vertices that no face uses may lie anywhere: in the frame of the faces they could overflow float32.
@@ -296,8 +290,6 @@ class Surface(MotionQueries, RayQueries):
         Raises:
             InputError: There is no such sign, or the mesh is smaller than 1e-70 or larger than 1e70.
         """
-        import warp as wp
-
         from geokit.mesh.queries.gradients import sloped_faces
         from geokit.mesh.surfaces import user_kernels as kernels
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.base.object_cache import CacheAttribute
 from geokit.core.gradients.rules import hold, is_tracked, split
 from geokit.core.interop import user_arrays
@@ -30,9 +31,6 @@ from geokit.mesh.sign.queries import SIGN_METHODS, SignedDistances
 from geokit.mesh.surfaces.objects import require_mesh
 from geokit.mesh.surfaces.surface import Surface
 from geokit.mesh.topology.size_limits import LARGEST_SCALE, LEAST_SCALE, require_measurable
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["Surfaces"]
 
@@ -111,8 +109,6 @@ class Surfaces:
         self._prepare()
 
     def _prepare(self) -> None:
-        import warp as wp
-
         from geokit.mesh.bvh.forest import Forest
 
         self._bounds = _boxes(self._vertices, self._faces, self._begin)
@@ -256,8 +252,6 @@ class Surfaces:
             InputError: points is not of such a shape or not finite, offsets do not fit, there is no such sign, or a map
                 is not rigid (to 1e-6) or is given beside tensors with gradients.
         """
-        import warp as wp
-
         from geokit.mesh.sign.parity_kernels import is_negative_kernel
 
         require_choice(sign, "sign", SIGN_METHODS)
@@ -300,8 +294,6 @@ class Surfaces:
                 not rigid (to 1e-6) or is given beside tensors with gradients, or a mesh is smaller than 1e-70 or larger
                 than 1e70.
         """
-        import warp as wp
-
         from geokit.mesh.bvh.ray_walk_kernels import SHORTEST_DIRECTION
         from geokit.mesh.queries.forest_raycast_kernels import forest_raycast_kernel
 
@@ -415,8 +407,6 @@ class Surfaces:
         others: float | None = None,
     ) -> ClosestPoints:
         """Closest points of the meshes that are asked; the distances of others are ``others``."""
-        import warp as wp
-
         from geokit.mesh.queries.forest_closest_kernels import forest_closest_kernel
 
         count, like = len(batch), batch.rows
@@ -431,8 +421,6 @@ class Surfaces:
         return found
 
     def _on_device(self, values: NDArray[Any]) -> Any:
-        import warp as wp
-
         return HostArray(values) if self._device.is_cpu else wp.array(values, device=self._device)
 
     def _by_pseudonormal(self, sign: str) -> NDArray[np.bool_]:

@@ -1,7 +1,6 @@
 """Exact queries of a prepared surface, one by one, for the user's own kernels: :mod:`geokit.kernels`."""
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

@@ -6,7 +6,6 @@ links.
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core.atomic_kernels import root_of, unite

@@ -1,7 +1,6 @@
 """Measures of single triangles, bit for bit those of the NumPy steps in mesh/topology/measures.py."""
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 # Fused multiply-adds would round differently from NumPy.

@@ -1,7 +1,6 @@
 """Closest point of a triangle to a query in float64, including slivers and triangles without area."""
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

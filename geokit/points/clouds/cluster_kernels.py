@@ -4,7 +4,6 @@ Positions are those of the sorted points, so that the neighbors of a point are a
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core.atomic_kernels import lower_to, root_of, unite

@@ -4,7 +4,6 @@ Each smoothing kernel is a struct with the constants of one radius and an overlo
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 from typing import Any
 
 import warp as wp

@@ -5,7 +5,6 @@ cannot be split among CPU threads or GPU blocks.
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

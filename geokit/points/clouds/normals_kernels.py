@@ -5,7 +5,6 @@ offset nor the scale of the points costs digits.
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

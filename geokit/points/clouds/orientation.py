@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.memory.unchecked import sort_pairs
 from geokit.core.scan import prefix_sum
 from geokit.errors import InputError
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["propagate_signs"]
 
@@ -57,8 +55,6 @@ def propagate_signs(
         between them, with weights in float32; then by the clearest vote of all edges between them. Ties are broken by
         position, so that the result is the same on every device and for any number of threads.
     """
-    import warp as wp
-
     from geokit.points.clouds import orientation_kernels as kernels
 
     count = len(points)
@@ -100,8 +96,6 @@ def propagate_signs(
 def _edges(
     points: "wp.array", normal: "wp.array", reach: "wp.array", neighbor: "wp.array", bits: int, device: "wp.Device"
 ) -> _Edges:
-    import warp as wp
-
     from geokit.points.clouds import orientation_kernels as kernels
 
     count = len(normal)
@@ -126,8 +120,6 @@ def _vote(
     device: "wp.Device",
 ) -> None:
     """Join clusters by the votes of the edges between them until none is left."""
-    import warp as wp
-
     from geokit.points.clouds import orientation_kernels as kernels
 
     count = len(normal)
@@ -162,8 +154,6 @@ def _vote(
 
 def _starts(count: "wp.array") -> tuple["wp.array", int]:
     """Exclusive prefix sum of counts, and their total."""
-    import warp as wp
-
     start = wp.empty(len(count), dtype=wp.int32, device=count.device)
     wp.utils.array_scan(count, start, inclusive=False)
     return start, int(start[len(count) - 1 :].numpy()[0]) + int(count[len(count) - 1 :].numpy()[0])

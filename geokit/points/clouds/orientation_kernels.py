@@ -14,7 +14,6 @@ pair is ``low << bits | high`` of their roots. Votes are whole numbers: their su
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

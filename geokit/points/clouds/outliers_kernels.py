@@ -1,7 +1,6 @@
 """Mean distances to neighbors, and the comparison with a threshold."""
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})

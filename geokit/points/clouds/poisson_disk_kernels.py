@@ -5,7 +5,6 @@ concurrently only with the same value, and no kernel reads what it writes in any
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.points.search.cells_kernels import MASK_BITS, CellGrid

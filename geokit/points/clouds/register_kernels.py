@@ -5,7 +5,6 @@ any device. Coordinates are relative to a center near the points, so that no dig
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1})

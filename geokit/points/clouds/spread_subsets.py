@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.scan import flagged, gathered
 from geokit.points.neighbors.neighbor_grid import NeighborGrid
 from geokit.points.search.cells import survey
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["farthest_points", "poisson_disk_subset"]
 
@@ -40,8 +38,6 @@ def poisson_disk_subset(points: "wp.array", radius: float, seed: int) -> tuple["
     Returns:
         The kept points, vec3d (M,) [world], and their indices (M,) int32, ascending.
     """
-    import warp as wp
-
     from geokit.points.clouds import poisson_disk_kernels as kernels
 
     device: Any = points.device
@@ -83,8 +79,6 @@ def farthest_points(points: "wp.array", count: int, start: int) -> tuple["wp.arr
     Returns:
         vec3d positions (count,) [world] and int32 indices (count,).
     """
-    import warp as wp
-
     from geokit.points.clouds import farthest_points_kernels as kernels
 
     device: Any = points.device

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.memory.unchecked import sort_pairs
 from geokit.core.scan import gathered, prefix_sum
 from geokit.errors import InputError
 from geokit.points.search.cells import survey
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["VoxelOrder", "centroids_by_pieces", "require_resolved", "voxel_centroids"]
 
@@ -50,8 +48,6 @@ def voxel_centroids(points: "wp.array", voxel_size: float) -> tuple["wp.array", 
     Raises:
         InputError: The voxels are too small for coordinates of this size.
     """
-    import warp as wp
-
     from geokit.points.clouds.voxel_centroids_kernels import centroid_kernel
 
     device: Any = points.device
@@ -86,8 +82,6 @@ def require_resolved(lower: NDArray[np.float64], upper: NDArray[np.float64], vox
 
 def centroids_by_pieces(order: VoxelOrder) -> tuple["wp.array", "wp.array"]:
     """Same bits as with one thread for each voxel, with one thread for each piece of a voxel."""
-    import warp as wp
-
     from geokit.points.clouds import voxel_centroids_kernels as kernels
 
     points, index, begin = order
@@ -113,8 +107,6 @@ def centroids_by_pieces(order: VoxelOrder) -> tuple["wp.array", "wp.array"]:
 
 def _by_voxel(points: "wp.array", voxel_size: float, lower: Any, upper: Any) -> VoxelOrder:
     """Points sorted by voxel, within the box between two voxels given by whole numbers."""
-    import warp as wp
-
     from geokit.points.clouds.voxel_centroids_kernels import VoxelBox
 
     # Whole numbers below 2^53: exact as Python's.
@@ -136,8 +128,6 @@ def _by_voxel(points: "wp.array", voxel_size: float, lower: Any, upper: Any) -> 
 
 def _counted(points: "wp.array", box: Any, voxel_count: int, shares: int) -> VoxelOrder:
     """Counting sort on a CPU: each thread counts a share of the points by voxel, then places it."""
-    import warp as wp
-
     from geokit.points.clouds.voxel_centroids_kernels import count_kernel, scatter_kernel
 
     device: Any = points.device
@@ -169,8 +159,6 @@ def _counted(points: "wp.array", box: Any, voxel_count: int, shares: int) -> Vox
 
 def _voxel_keys(points: "wp.array", box: Any) -> "wp.array":
     """Number of each point's voxel in the box, in the first half of an array."""
-    import warp as wp
-
     from geokit.points.clouds.voxel_centroids_kernels import key_kernel
 
     keys = wp.empty(2 * len(points), dtype=wp.int64, device=points.device)
@@ -183,8 +171,6 @@ def _layer_keys(points: "wp.array", voxel_size: float, lows: list[int], sizes: l
 
     The occupied layers of each axis are numbered instead, at most 2^31 of them, and two axes are combined at a time.
     """
-    import warp as wp
-
     from geokit.points.clouds.voxel_centroids_kernels import axis_key_kernel, join_kernel
 
     device: Any = points.device
@@ -207,8 +193,6 @@ def _layer_keys(points: "wp.array", voxel_size: float, lows: list[int], sizes: l
 
 def _ranked(keys: "wp.array", count: int, key_count: int) -> tuple["wp.array", int]:
     """Rank of each key among the distinct keys, ascending, and the number of distinct keys."""
-    import warp as wp
-
     from geokit.points.clouds.voxel_centroids_kernels import rank_kernel
 
     order, numbers, distinct = _sorted_numbers(keys, count, key_count)
@@ -219,8 +203,6 @@ def _ranked(keys: "wp.array", count: int, key_count: int) -> tuple["wp.array", i
 
 def _sorted_by(points: "wp.array", keys: Any, key_count: int) -> VoxelOrder:
     """Points sorted by ascending key, stable; the keys are in the first half of an array."""
-    import warp as wp
-
     from geokit.points.clouds.voxel_centroids_kernels import begin_kernel
 
     device: Any = points.device
@@ -236,8 +218,6 @@ def _sorted_by(points: "wp.array", keys: Any, key_count: int) -> VoxelOrder:
 
 def _sorted_numbers(keys: "wp.array", count: int, key_count: int) -> tuple["wp.array", "wp.array", int]:
     """The stable order that sorts the keys, for each sorted key the number of distinct keys up to it, and of all."""
-    import warp as wp
-
     from geokit.core.morton_order_kernels import identity_kernel
     from geokit.points.clouds.voxel_centroids_kernels import head_kernel
 

@@ -1,7 +1,6 @@
 """Voxels of points as keys, runs of equal keys, and the centroid of each run."""
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core.scan_kernels import begin_of

@@ -3,7 +3,6 @@
 from typing import Any
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 # Without fused multiply-adds a GPU gives the same bits as a CPU.

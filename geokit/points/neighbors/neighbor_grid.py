@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from geokit.core import launcher
 from geokit.core.base.forks import Lock
+from geokit.core.base.late_warp import wp
 from geokit.core.base.object_cache import CacheAttribute
 from geokit.core.blocks.several_devices import OnDevices, replicas, shows_arguments
 from geokit.core.gradients.rules import hold, split
@@ -44,8 +45,6 @@ from geokit.points.search.periodic import MOST_TURNS, Images, read_cell, sort_by
 from geokit.points.search.verlet import VerletLists
 
 if TYPE_CHECKING:
-    import warp as wp
-
     from geokit.points.neighbors.user_kernels import NeighborGrid as InKernels
 
 __all__ = ["Candidates", "KNearest", "NeighborBlock", "NeighborGrid", "NeighborList", "Neighbors", "Pairs"]
@@ -279,8 +278,6 @@ class NeighborGrid:
 
     def _hold(self, points: Any, wanted: float | None, groups: Any, count: int | None = None) -> None:
         """Take the points, which are ``count`` if given."""
-        import warp as wp
-
         points, tracked = split(points)
         if tracked is not None:
             hold(self, points=tracked)
@@ -559,8 +556,6 @@ class NeighborGrid:
                 queries; order is not known.
             DeviceMemoryError: The neighbors, or the images, do not fit in memory.
         """
-        import warp as wp
-
         if self._cell is None:
             raise InputError("neighbor_list: the grid is not periodic; give periodic=, or use radius_search()")
         _require_order(order)
@@ -675,8 +670,6 @@ class NeighborGrid:
             DeviceMemoryError: The neighbors of all points, found first, do not fit in memory or number more than 2^31 -
                 1.
         """
-        import warp as wp
-
         from geokit.points.search import radius_cuda_kernels as kernels
 
         self._refuse_periodic("pairs", "a point may be its own neighbor; use neighbor_list()")
@@ -778,8 +771,6 @@ class NeighborGrid:
         return self._nearest(queries, k, radius, exclude_self, groups)
 
     def _nearest(self, queries: Any, k: int, radius: Any, exclude_self: bool, groups: Any) -> KNearest:
-        import warp as wp
-
         self._refuse_periodic("knn and hybrid", 'use neighbor_list(order="distance")')
         k = require_k(k)
         batch = (
@@ -971,8 +962,6 @@ class NeighborGrid:
     def _block(
         self, batch: Batch, radii: Any, exclude_self: bool, order: str, counts: np.ndarray, begin: int, group: Any
     ) -> NeighborBlock:
-        import warp as wp
-
         rows = batch.array[begin : begin + len(counts)].contiguous()
         asked = self._asked(rows, len(counts), radii, exclude_self, begin, group)
         known = wp.array(counts, dtype=wp.int32, device=self._device)
@@ -1102,8 +1091,6 @@ def _hash_grid_of(points: "wp.array", cell_size: float) -> tuple[Any, "wp.array"
 
     Warp's grid may store the address of the points without keeping the array alive: keep a reference to both.
     """
-    import warp as wp
-
     device: Any = points.device
     single = narrowed(points, wp.vec3f)
     # Begin and end of each cell; cell and number of each point, twice, for the sort.

@@ -5,18 +5,16 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.memory import host_pool
 from geokit.core.memory.unchecked import sort_pairs
 from geokit.errors import InputError
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["Cells", "Survey", "build_cells", "survey", "usual_spacing"]
 
@@ -112,8 +110,6 @@ def survey(points: "wp.array", refuse: Callable[[], Any] | None = None) -> Surve
     Raises:
         InputError: The extent of the points overflows float64.
     """
-    import warp as wp
-
     from geokit.points.search import cells_kernels as kernels
     from geokit.points.search.cells_cpu_kernels import SHARE, SURVEY_HOST
 
@@ -166,8 +162,6 @@ def build_cells(points: "wp.array", survey: Survey, radius: float) -> Cells:
         Cells. Memory: 28 bytes a point (44 on a GPU), 8 more if the table is not direct, and up to 16 for the table; up
         to 28 more during construction.
     """
-    import warp as wp
-
     from geokit.points.search import cells_kernels as kernels
 
     device: Any = points.device
@@ -223,8 +217,6 @@ def frame(survey: Survey) -> tuple[NDArray[np.float64], float]:
 
 
 def _make_room(grid: Any, count: int, device: Any) -> None:
-    import warp as wp
-
     from geokit.points.search import cells_kernels as kernels
 
     if device.is_cuda:
@@ -245,8 +237,6 @@ def _padded(count: int, padded: int, dtype: Any, device: Any) -> "wp.array":
 
 def _place_by_count(grid: Any, points: "wp.array", cell_count: int, rows: int) -> None:
     """Counting sort on a CPU with a direct table: each thread counts its share of the points, then places it."""
-    import warp as wp
-
     from geokit.core.sorting.counting_sort_cpu_kernels import sum_kernel
     from geokit.points.search import cells_cpu_kernels as kernels
 
@@ -276,8 +266,6 @@ def _gather(grid: Any, points: "wp.array", order: "wp.array") -> None:
 
 
 def _place_by_sort(grid: Any, points: "wp.array", cell_count: int) -> None:
-    import warp as wp
-
     from geokit.points.search import cells_kernels as kernels
 
     device: Any = points.device
@@ -305,8 +293,6 @@ def sorted_keys(grid: Any, points: "wp.array", group: Any) -> tuple["wp.array", 
 
     ``group`` is the group of each point; None if there are none.
     """
-    import warp as wp
-
     from geokit.points.search import cells_kernels as kernels
 
     device: Any = points.device
@@ -326,8 +312,6 @@ def sorted_keys(grid: Any, points: "wp.array", group: Any) -> tuple["wp.array", 
 
 def _cut_axes(grid: Any, survey: Survey, count: int, radius: float, device: Any) -> int:
     """Cut the three axes into cells for the grid; returns the total number of cells."""
-    import warp as wp
-
     most = min(max(count // INTERVALS, MIN_CELLS_PER_INTERVAL), MAX_CELLS_PER_INTERVAL)
     cuts, sizes, first = [], [], 0
     for axis in range(3):
@@ -366,8 +350,6 @@ def intervals(survey: Survey, axis: int, radius: float, most: int) -> NDArray[np
 
 def _head(array: "wp.array", count: int) -> "wp.array":
     """A copy of the first entries, so that the rest can be freed."""
-    import warp as wp
-
     head = wp.empty(count, dtype=array.dtype, device=array.device)
     if count:
         wp.copy(head, array, count=count)

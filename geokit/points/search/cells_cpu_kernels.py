@@ -6,7 +6,6 @@ gathered in sorted order, since scattered reads are faster than scattered writes
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 from typing import Any
 
 import warp as wp

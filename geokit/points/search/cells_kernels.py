@@ -4,7 +4,6 @@ Coordinates are float64; on a GPU a float32 copy serves as a first test.
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 from typing import Any
 
 import warp as wp

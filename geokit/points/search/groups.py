@@ -6,19 +6,17 @@ place: coordinates are not shifted, so every distance is that of a grid over the
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.interop.user_arrays import read_numbers
 from geokit.core.memory.struct_array import layout_of_struct, struct_array
 from geokit.errors import InputError
 from geokit.points.search.cells import FEW_CELLS, INTERVALS, Cells, Survey, frame, intervals, place, survey
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["Groups", "build_group_cells", "numbers_of", "read_offsets", "survey_groups", "usual_spacing_of"]
 
@@ -79,16 +77,12 @@ def read_offsets(groups: Any, count: int, what: str, name: str = "groups") -> ND
 
 def numbers_of(offsets: NDArray[np.int64], device: Any) -> "wp.array":
     """Group of each row, int32 on the device."""
-    import warp as wp
-
     numbers = np.repeat(np.arange(len(offsets) - 1, dtype=np.int32), np.diff(offsets))
     return wp.array(numbers, dtype=wp.int32, device=device)
 
 
 def survey_groups(points: "wp.array", offsets: NDArray[np.int64]) -> Groups:
     """Box of each group of vec3d or vec3f points [world]."""
-    import warp as wp
-
     from geokit.points.search.cells_kernels import GROUP_BOX
 
     device: Any = points.device
@@ -124,8 +118,6 @@ def build_group_cells(points: "wp.array", groups: Groups, radius: float) -> Cell
     Returns:
         Cells. Memory: that of build_cells, 4 bytes a point and some 220 bytes a group.
     """
-    import warp as wp
-
     from geokit.points.search import cells_kernels as kernels
 
     device: Any = points.device

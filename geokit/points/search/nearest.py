@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.interop.types import Array
 from geokit.core.launches import captured
 from geokit.core.memory import available_memory
@@ -22,9 +23,6 @@ from geokit.points.search.nearest_tree import (
     group_order,
     group_spans,
 )
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["MAX_K", "KNearest", "build_tree", "nearest", "require_k"]
 
@@ -93,8 +91,6 @@ def nearest(
     Raises:
         DeviceMemoryError: The results do not fit in memory; nothing has been allocated for them.
     """
-    import warp as wp
-
     from geokit.points.search import nearest_tree_kernels as tree_kernels
 
     device = tree.positions.device

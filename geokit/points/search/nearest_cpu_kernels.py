@@ -6,7 +6,6 @@ holds a result is skipped, and no tolerance is needed.
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

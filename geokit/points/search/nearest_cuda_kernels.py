@@ -5,7 +5,6 @@ for bit. The code is plain C++ and also runs on a CPU, which tests use.
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.launches import prepared
 from geokit.core.memory.unchecked import sort_pairs
 from geokit.core.scan import flagged, prefix_sum
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["blocks_in_order", "build_tree", "group_order", "group_spans"]
 
@@ -38,8 +36,6 @@ def build_tree(points: "wp.array", groups: NDArray[np.int64] | None = None) -> A
         A NearestTree. Memory: 32 bytes a point; during construction up to 16 more, or 64 more if many points share a
         cell of the curve.
     """
-    import warp as wp
-
     from geokit.points.search import nearest_tree_kernels as kernels
 
     device: Any = points.device
@@ -65,8 +61,6 @@ def build_tree(points: "wp.array", groups: NDArray[np.int64] | None = None) -> A
 
 def group_order(points: "wp.array", groups: NDArray[np.int64], rounds: int = 1) -> "wp.array":
     """The points in the order of their groups, and along a curve through each that is longer than a leaf."""
-    import warp as wp
-
     device: Any = points.device
     heads = np.zeros(len(points), dtype=np.int32)
     heads[groups[:-1][np.diff(groups) > 0]] = 1
@@ -91,8 +85,6 @@ def group_spans(groups: NDArray[np.int64]) -> tuple[NDArray[np.int32], NDArray[n
 
 def frame_of(points: "wp.array") -> Any:
     """Center and inverse edge of a cube around almost all of the points, as a vec4d."""
-    import warp as wp
-
     from geokit.points.search import nearest_tree_kernels as kernels
 
     taken = min(len(points), SAMPLE_SIZE)
@@ -108,8 +100,6 @@ def frame_of(points: "wp.array") -> Any:
 
 def curve_order(points: "wp.array", frame: Any, device: Any) -> tuple["wp.array", "wp.array"]:
     """Keys along the curve in ascending order and the indices of their points, in the first half of each array."""
-    import warp as wp
-
     from geokit.points.search import nearest_tree_kernels as kernels
 
     count = len(points)
@@ -126,8 +116,6 @@ def blocks_in_order(
     points: "wp.array", order: "wp.array", device: Any, spans: Any = None
 ) -> tuple["wp.array", "wp.array"]:
     """Coordinates in blocks of one leaf each, and the indices of the points; ``spans`` are those of groups."""
-    import warp as wp
-
     from geokit.points.search import nearest_tree_kernels as kernels
 
     leaf = int(kernels.LEAF)
@@ -148,8 +136,6 @@ def _refine(points: "wp.array", order: "wp.array", head: "wp.array", device: Any
     A cell with more points than a leaf would distribute them over leaves at random: one far point could leave all other
     points in one cell.
     """
-    import warp as wp
-
     from geokit.points.search import nearest_tree_kernels as kernels
 
     count = len(points)
@@ -174,8 +160,6 @@ def _refine(points: "wp.array", order: "wp.array", head: "wp.array", device: Any
 
 def _add_boxes(tree: Any, device: Any) -> None:
     """Build the levels of boxes above the leaves, from the lowest up."""
-    import warp as wp
-
     from geokit.points.search import nearest_tree_kernels as kernels
 
     count, width, leaf = len(tree.index), int(kernels.WIDTH), int(kernels.LEAF)
@@ -201,8 +185,6 @@ def _sort_members(
     points: "wp.array", order: "wp.array", member: "wp.array", run: "wp.array", frame: "wp.array", head: "wp.array"
 ) -> None:
     """Sort the members of each run by their keys in the frame of the run, and mark the resulting runs."""
-    import warp as wp
-
     from geokit.points.search import nearest_tree_kernels as kernels
 
     device: Any = points.device

@@ -5,7 +5,6 @@ them needs no pointers: the children of node n are the nodes 8 n to 8 n + 7 of t
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core.morton_order_kernels import spread_bits

@@ -5,7 +5,6 @@ Every comparison uses the caller's float64 coordinates with explicit roundings, 
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

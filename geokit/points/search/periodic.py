@@ -5,20 +5,18 @@ Any radius is allowed. Where it is longer than half the cell, several images of 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.interop.arrays import reinterpreted
 from geokit.core.interop.user_arrays import read_numbers
 from geokit.core.memory import available_memory, host_pool
 from geokit.core.scan import gathered, prefix_sum
 from geokit.errors import DeviceMemoryError, InputError
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["MOST_TURNS", "Images", "read_cell", "sort_by_distance"]
 
@@ -78,8 +76,6 @@ class Images:
     """
 
     def __init__(self, points: "wp.array", cell: NDArray[np.float64], reach: float) -> None:
-        import warp as wp
-
         from geokit.points.search import periodic_kernels as kernels
 
         self.given, self.cell, self.reach = points, cell, reach
@@ -121,8 +117,6 @@ class Images:
 
     def wrapped(self, points: "wp.array") -> tuple["wp.array", "wp.array"]:
         """vec3d points moved into the cell, and by how many of its vectors they were outside, vec3i."""
-        import warp as wp
-
         from geokit.points.search.periodic_kernels import wrap_kernel
 
         device: Any = points.device
@@ -136,8 +130,6 @@ class Images:
 
         With the shifts (M,) for queries ``turn``, unless that is None.
         """
-        import warp as wp
-
         from geokit.points.search.periodic_kernels import LIST
 
         device, total = offsets.device, 0 if turn is None else len(indices)
@@ -149,8 +141,6 @@ class Images:
 
     def shifts(self, offsets: Any, indices: Any, turn: Any) -> "wp.array":
         """Shift of each neighbor of queries with these turns, vec3i (M,)."""
-        import warp as wp
-
         from geokit.points.search.periodic_kernels import shift_kernel
 
         out = wp.empty(len(indices), dtype=wp.vec3i, device=offsets.device)
@@ -168,8 +158,6 @@ class Images:
 
 def sort_by_distance(offsets: Any, indices: Any, distance: Any, *others: Any) -> tuple[Any, ...]:
     """Rows sorted by distance, then by the order in which they are given, and other arrays of theirs."""
-    import warp as wp
-
     from geokit.points.search import radius
 
     place = wp.array(np.arange(len(indices)), dtype=wp.int32, device=offsets.device)

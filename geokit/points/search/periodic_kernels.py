@@ -1,7 +1,6 @@
 """Images of points in a periodic cell, and neighbor lists that name the point and the image of each neighbor."""
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 from typing import Any
 
 import warp as wp

@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.memory import available_memory, host_pool
 from geokit.core.scan import gathered, prefix_sum, row_offsets
 from geokit.errors import DeviceMemoryError
 from geokit.points.search.cells import Cells, has_groups, sorted_keys
 
 if TYPE_CHECKING:
-    import warp as wp
-
     from geokit.points.search.periodic import Images
 
 __all__ = [
@@ -82,8 +81,6 @@ class Asked:
         first_point: int = 0,
         group: Any = None,
     ) -> None:
-        import warp as wp
-
         self.count, self.device, self.own, self.first_point = count, device, own, first_point
         self.rows = rows
         values = np.atleast_1d(np.asarray(radius, dtype=np.float64))
@@ -127,8 +124,6 @@ def _classes(radius: np.ndarray, count: int) -> list[tuple[float, np.ndarray | N
 
 def _own_queries(grid: Any, count: int) -> Any:
     """The points as queries in the order of the cells, or the first ``count`` of them: others are images."""
-    import warp as wp
-
     from geokit.points.search.neighbors_kernels import Queries
     from geokit.points.search.radius_cuda_kernels import own_flag_kernel, own_query_kernel
 
@@ -150,8 +145,6 @@ def _own_queries(grid: Any, count: int) -> Any:
 
 def points_of(grid: Any) -> "wp.array":
     """The points as vec3d in their original order."""
-    import warp as wp
-
     from geokit.points.search.cells_kernels import unsort_kernel
 
     count, device = len(grid.index), grid.index.device
@@ -162,8 +155,6 @@ def points_of(grid: Any) -> "wp.array":
 
 def _arranged(grid: Any, rows: "wp.array", chosen: np.ndarray | None, device: "wp.Device", group: Any) -> Any:
     """Queries sorted by cell, only those of ``chosen`` if given, with the group of each if there are any."""
-    import warp as wp
-
     from geokit.core.sorting.gather_kernels import GATHER
     from geokit.points.search import radius_cuda_kernels as kernels
     from geokit.points.search.neighbors_kernels import Queries
@@ -195,8 +186,6 @@ def count(asked: Asked, *, note: bool = False) -> "wp.array":
 
     With ``note`` a CPU stores the neighbors that it finds in ``asked``, for :func:`fill`.
     """
-    import warp as wp
-
     from geokit.points.search.radius_cpu_kernels import count_share_kernel
     from geokit.points.search.radius_cuda_kernels import UNCOUNT, count_in_groups_kernel, count_kernel
 
@@ -220,8 +209,6 @@ def count(asked: Asked, *, note: bool = False) -> "wp.array":
 
 
 def _room_for_notes(queries: int, device: "wp.Device") -> Notes:
-    import warp as wp
-
     from geokit.points.search.radius_cpu_kernels import SHARE
 
     if queries < FEWEST_NOTED:
@@ -251,8 +238,6 @@ def fill(
     ``refuse`` is called with M before allocation, to raise if M is too large. ``order`` is "index", or "any" for the
     order of the cells. With ``single`` a CPU returns distance in float32.
     """
-    import warp as wp
-
     from geokit.points.search.radius_cpu_kernels import FILL_OF
     from geokit.points.search.radius_cuda_kernels import fill_in_groups_kernel, fill_kernel
 
@@ -280,8 +265,6 @@ def fill(
 
 def crowding(cells: Cells) -> float:
     """Mean over the points of the number of points in their cell."""
-    import warp as wp
-
     from geokit.points.search import cells_kernels as kernels
 
     start = cells.grid.start

@@ -6,7 +6,6 @@ branches. Float32, relative to the cell, decides wherever its error cannot matte
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 from typing import Any
 
 import warp as wp

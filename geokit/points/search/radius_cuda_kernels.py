@@ -1,7 +1,6 @@
 """Radius search on a GPU with one thread for each query, and operations on rows of neighbors for any device."""
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 from typing import Any
 
 import warp as wp

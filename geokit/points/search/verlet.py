@@ -8,19 +8,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from geokit.core import launcher
 from geokit.core.base.forks import Lock
+from geokit.core.base.late_warp import wp
 from geokit.core.memory import host_pool
 from geokit.core.scan import gathered, row_offsets
 from geokit.points.search import radius as search
 from geokit.points.search.periodic import Images, sort_by_distance
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["VerletLists"]
 
@@ -60,8 +58,6 @@ class VerletLists:
         farthest: float,
         refuse: Callable[[int], None],
     ) -> None:
-        import warp as wp
-
         from geokit.points.search import verlet_kernels as kernels
         from geokit.points.search.cells_kernels import CellGrid
         from geokit.points.search.neighbors_kernels import Queries
@@ -119,8 +115,6 @@ class VerletLists:
             points: The points as given.
             farthest: Their largest coordinate in magnitude.
         """
-        import warp as wp
-
         from geokit.points.search import verlet_kernels as kernels
 
         moved: VerletLists = object.__new__(type(self))
@@ -151,8 +145,6 @@ class VerletLists:
 
     def count(self, radius: float, exclude_self: bool) -> "wp.array":
         """Number of neighbors of each point within a radius that is at most that of the lists, int32 (N,)."""
-        import warp as wp
-
         from geokit.points.search.verlet_kernels import count_kernel
 
         counts = wp.empty(self._count, dtype=wp.int32, device=self._device)
@@ -166,8 +158,6 @@ class VerletLists:
         In a periodic cell the indices are places, which :meth:`named` and :meth:`shifts` read. ``order`` is "distance";
         else rows ascend by point, then shift.
         """
-        import warp as wp
-
         from geokit.points.search.verlet_kernels import FILL
 
         counts = self.count(radius, exclude_self)
@@ -191,8 +181,6 @@ class VerletLists:
 
         They stay the same arrays while the points move, but for shifts of points that were moved by whole cells.
         """
-        import warp as wp
-
         from geokit.points.search import verlet_kernels as kernels
 
         if exclude_self not in self._made:
@@ -221,8 +209,6 @@ class VerletLists:
 
     def shifts(self, offsets: "wp.array", places: "wp.array") -> "wp.array":
         """Shift of each neighbor in a periodic cell, int32 (M, 3)."""
-        import warp as wp
-
         from geokit.points.search.verlet_kernels import shift_kernel
 
         out = wp.empty((len(places), 3), dtype=wp.int32, device=self._device)
@@ -232,8 +218,6 @@ class VerletLists:
 
     def _placed(self) -> Any:
         """The lists, with where each place is now."""
-        import warp as wp
-
         from geokit.points.search import verlet_kernels as kernels
 
         lists = self._lists
@@ -249,8 +233,6 @@ class VerletLists:
 
     def _room(self, offsets: "wp.array", refuse: Callable[[int], None]) -> "wp.array":
         """Room for lists that are read in steps of eight."""
-        import warp as wp
-
         total = int(offsets[self._count :].numpy()[0])
         refuse(total)
         places = host_pool.empty_warp(total + PADDING, wp.int32, self._device)
@@ -259,8 +241,6 @@ class VerletLists:
 
     def _motion(self, points: "wp.array", before: "wp.array") -> float:
         """Largest distance between where a point is and was [world]."""
-        import warp as wp
-
         from geokit.points.search.verlet_kernels import motion_kernel
 
         if self._device.is_cpu:
@@ -275,8 +255,6 @@ class VerletLists:
         return math.sqrt(squares.numpy().max(initial=0.0))
 
     def _inverse(self, order: "wp.array", count: int) -> "wp.array":
-        import warp as wp
-
         from geokit.points.search.verlet_kernels import inverse_kernel
 
         places = wp.empty(count, dtype=wp.int32, device=self._device)

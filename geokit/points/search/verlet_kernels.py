@@ -1,7 +1,6 @@
 """Verlet lists: candidates within the radius and a skin, which stay while points move, compared exactly each time."""
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 from typing import Any
 
 import warp as wp

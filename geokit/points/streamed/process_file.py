@@ -9,12 +9,13 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.base.private_folder import private_folder
 from geokit.core.blocks.chunked_queries import Progress, in_percent
 from geokit.core.files import atomic_path, require_extension, require_room
@@ -45,9 +46,6 @@ from geokit.points.streamed.tiles import (
     sample_of,
     type_of,
 )
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["ProcessedFile", "process_file"]
 

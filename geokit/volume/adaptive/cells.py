@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.volume.band.place_keys import KEY_BITS, keys_of, places_of
 from geokit.volume.tolerance.interpolation_errors import STENCILS
 
 if TYPE_CHECKING:
-    import warp as wp
-
     from geokit.mesh.model.triangle_mesh import TriangleMesh
     from geokit.mesh.surfaces.surface import Surface
 
@@ -171,14 +170,10 @@ class _Stencils(NamedTuple):
 
     def rows_on(self, device: "wp.Device", chosen: NDArray[np.int64] | None = None) -> "wp.array":
         """The rows of all cells, or of some, on a device."""
-        import warp as wp
-
         return wp.array(self.rows if chosen is None else self.rows[chosen], dtype=wp.int32, device=device)
 
 
 def _examine(lattice: CellLattice, cells: NDArray[np.int64], limit: float, order: int) -> NDArray[np.float64]:
-    import warp as wp
-
     from geokit.volume.adaptive.check_kernels import examine_kernel
 
     device = lattice.surface._device
@@ -218,8 +213,6 @@ def _inspect(
         chosen: Row of each cell among those of ``stencils``.
         width: Points along each axis.
     """
-    import warp as wp
-
     from geokit.volume.adaptive.check_kernels import inspect_kernel
 
     device = lattice.surface._device
@@ -248,8 +241,6 @@ def _crease_errors(
     On an edge the distance is 0. The crease that leaves it, halfway between its faces, lies inside at convex edges and
     outside at concave ones. A point up to BORDER beyond a cell's border counts for that cell too.
     """
-    import warp as wp
-
     from geokit.volume.adaptive.check_kernels import crease_kernel, touched_kernel
 
     device = lattice.surface._device
@@ -328,18 +319,12 @@ def _find_creases(mesh: TriangleMesh) -> _Creases:
 
 
 def _on(device: "wp.Device", distance: NDArray[np.float64], points: NDArray[np.float64]) -> list["wp.array"]:
-    import warp as wp
-
     return [wp.array(distance, dtype=wp.float64, device=device), _points_on(device, points)]
 
 
 def _points_on(device: "wp.Device", points: NDArray[np.float64]) -> "wp.array":
-    import warp as wp
-
     return wp.array(np.ascontiguousarray(points), dtype=wp.vec3d, device=device)
 
 
 def _cells_on(device: "wp.Device", cells: NDArray[np.int64]) -> "wp.array":
-    import warp as wp
-
     return wp.array(np.ascontiguousarray(cells, np.int32), dtype=wp.vec3i, device=device)

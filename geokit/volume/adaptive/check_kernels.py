@@ -6,7 +6,6 @@ crease counts for all cells around it.
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core.atomic_kernels import lower_to

@@ -9,7 +9,6 @@ is read as any volume is, with the sums of sample_kernels and smooth_kernels.
 from typing import Any
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.errors import InputError
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.layout import GRID_TYPES, layout_of
 from geokit.volume.sampling.leaf_table import SPAN, _make
 from geokit.volume.tolerance.interpolation_errors import STENCILS
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["AdaptiveTable", "adaptive_table", "shifts_of"]
 
@@ -66,8 +64,6 @@ def adaptive_table(levels: tuple[SparseVolume, ...], order: int, device: "wp.Dev
         order: Order of interpolation.
         device: Device of the table.
     """
-    import warp as wp
-
     from geokit.volume.adaptive.table_kernels import AdaptiveLevels, fill_finer_kernel
     from geokit.volume.sampling.leaf_table_kernels import LeafTable
 

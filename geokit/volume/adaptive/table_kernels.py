@@ -5,7 +5,6 @@ cell around a point never depends on rounding at another level.
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

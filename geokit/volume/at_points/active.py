@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.base.query import FIRST_ALONE
 from geokit.core.interop.types import Array, Devices, Rows
 from geokit.core.interop.user_arrays import read_vectors
@@ -41,8 +42,6 @@ def active_at(volume: SparseVolume, points: Rows, *, space: str = "world", devic
         >>> active_at(load("data/samples/torus.vdb"), [[0.7, 0.0, 0.0], [9.0, 9.0, 9.0]]).tolist()
         [True, False]
     """
-    import warp as wp
-
     from geokit.volume.sampling.active_kernels import active_kernel
 
     require_volume(volume, "volume")

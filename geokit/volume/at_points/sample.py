@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.base.query import FIRST_ALONE
 from geokit.core.interop.types import Array, Devices, Rows
 from geokit.core.interop.user_arrays import read_vectors
@@ -24,8 +25,6 @@ from geokit.volume.sampling.trilinear_table import gradient_linear, sample_linea
 from geokit.volume.tree.leaves import require_volume
 
 if TYPE_CHECKING:
-    import warp as wp
-
     from geokit.volume.at_points.user_kernels import SparseVolume as InKernels
 
 __all__ = ["gradient", "is_scalar", "on_kernel", "require_order", "sample", "view_as"]
@@ -115,8 +114,6 @@ def sample(
         >>> [sample(torus, [[0.1, 0.2, 0.0]], order=order).shape for order in (0, 1, 2, 3)]
         [(1,), (1,), (1,), (1,)]
     """
-    import warp as wp
-
     from geokit.volume.sampling.kernel_table import query_kernel
 
     volume, order, components, target = _checked(volume, order, space, channel, device)
@@ -185,8 +182,6 @@ def gradient(
         FileFormatError: The buffer is not a valid grid, or a channel has fewer values than the grid has indices.
         UnsupportedGridError: The grid stores points, or indices without a channel, instead of values.
     """
-    import warp as wp
-
     from geokit.volume.sampling.kernel_table import query_kernel
 
     volume, order, components, target = _checked(volume, order, space, channel, device)
@@ -204,8 +199,6 @@ def gradient(
 
 def on_kernel(volume: SparseVolume, device: Any) -> InKernels:
     """:meth:`geokit.volume.SparseVolume.on_kernel`."""
-    import warp as wp
-
     from geokit.volume.at_points.user_kernels import SparseVolume as InKernels
 
     volume, _, components, target = _checked(volume, 1, "world", None, device)
@@ -275,8 +268,6 @@ def _require_components(volume: SparseVolume) -> int:
 
 def view_as(out: "wp.array", dtype: Any, shape: tuple[int, ...]) -> "wp.array":
     """View the same contiguous memory as another type and shape."""
-    import warp as wp
-
     view: Any = wp.array(ptr=out.ptr, dtype=dtype, shape=shape, device=out.device)
     view._geokit_source = out  # the view does not own the memory it points to
     return view

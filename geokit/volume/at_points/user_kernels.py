@@ -1,7 +1,6 @@
 """Values and gradients of a volume, one by one, for the user's own kernels: :mod:`geokit.kernels`."""
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.volume.sampling.leaf_table_kernels import LeafTable

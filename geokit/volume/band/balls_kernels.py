@@ -5,7 +5,6 @@ balls may reach. So the balls that matter to a block lie in its bucket and the 2
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.memory.pinned import host_flags
 from geokit.core.scan import flagged, gathered
 from geokit.volume.band.sign_change_tiles import beyond_signs, keep_sign_changes, with_sign_changes
@@ -18,8 +19,6 @@ from geokit.volume.tree.device_writer import BuiltGrid, Leaves, build_on_device
 from geokit.volume.tree.grid_head import GridHead
 
 if TYPE_CHECKING:
-    import warp as wp
-
     from geokit.core.memory.host_array import HostArray
 
 __all__ = ["Band", "BandShape", "build_band", "build_triangle_ids", "make_band"]
@@ -84,8 +83,6 @@ class Band:
     @property
     def limits(self) -> list[Any]:
         """Values at the band's edges, outside and inside, as kernels take them."""
-        import warp as wp
-
         return [wp.float32(self.shape.exterior), wp.float32(-self.shape.interior)]
 
 
@@ -100,8 +97,6 @@ def make_band(lattice: Lattice, shape: BandShape, *, with_slots: bool = False, t
     Raises:
         DeviceMemoryError: The band needs more memory than there is.
     """
-    import warp as wp
-
     from geokit.volume.band import band_kernels as kernels
 
     device = lattice.device
@@ -148,8 +143,6 @@ def make_band(lattice: Lattice, shape: BandShape, *, with_slots: bool = False, t
 
 def build_band(band: Band, head: GridHead) -> BuiltGrid:
     """Build the band as a grid of floats."""
-    import warp as wp
-
     from geokit.volume.band.band_kernels import leaf_values_kernel
 
     count, device = len(band.leaves.keys), band.lattice.device
@@ -170,8 +163,6 @@ def build_triangle_ids(band: Band, head: GridHead, source: NDArray[np.int64] | N
         head: Head of the grid.
         source: The number to write for each triangle (F,); None for its own.
     """
-    import warp as wp
-
     from geokit.volume.band.band_kernels import triangle_values_kernel
     from geokit.volume.tree.device_writer_kernels import copy_leaves_kernel
 
@@ -196,8 +187,6 @@ def _places(leaves: Leaves) -> NDArray[np.int32]:
 
 
 def _numbered(count: int, device: "wp.Device") -> "wp.array":
-    import warp as wp
-
     from geokit.core.morton_order_kernels import identity_kernel
 
     rows = wp.empty(count, dtype=wp.int32, device=device)
@@ -206,8 +195,6 @@ def _numbered(count: int, device: "wp.Device") -> "wp.array":
 
 
 def _distances(lattice: Lattice, tiles: Tiles, shape: BandShape, with_slots: bool) -> tuple["wp.array", "wp.array"]:
-    import warp as wp
-
     count, device = len(tiles.keys), lattice.device
     distance = wp.empty((count, 512), dtype=wp.float32, device=device)
     slots = wp.empty((count, 512) if with_slots else (0, 0), dtype=wp.int32, device=device)
@@ -238,8 +225,6 @@ def _bits(
     has_negative: HostArray,
 ) -> list["wp.array"]:
     """Bit masks of the active voxels and of those with negative values; ``has_negative`` is raised if there are any."""
-    import warp as wp
-
     from geokit.volume.band.band_kernels import bits_kernel
 
     count, device = len(leaves.keys), lattice.device
@@ -251,8 +236,6 @@ def _bits(
 
 def _kept(leaves: Leaves, chosen: "wp.array", bits: list["wp.array"]) -> tuple[Leaves, list["wp.array"]]:
     """The chosen leaves, and their rows of the bit masks."""
-    import warp as wp
-
     from geokit.volume.band.band_kernels import kept_bits_kernel
 
     chosen = flagged(chosen)

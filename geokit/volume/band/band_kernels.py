@@ -1,7 +1,6 @@
 """Kernels that find a narrow band's active voxels and write their values into the leaves of a grid."""
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

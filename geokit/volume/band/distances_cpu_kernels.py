@@ -4,7 +4,6 @@ Tiles whose list of triangles overflows are searched voxel by voxel.
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import numpy as np
 import warp as wp
 

@@ -1,7 +1,6 @@
 """Unsigned distances of a band's voxels on CUDA: one thread per voxel, bounded by its brick's nearest triangle."""
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.mesh.bvh.nearest_kernels import distance_from_slot, nearest_slot

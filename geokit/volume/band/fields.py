@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from geokit._warn import warn
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.base.snapshot import snapshot
 from geokit.core.interop import user_arrays
 from geokit.core.interop.types import MeshLike
@@ -27,8 +28,6 @@ from geokit.volume.nanovdb.provenance import INTERIOR, content_hash, provenance,
 from geokit.volume.tree.grid_head import checked_head
 
 if TYPE_CHECKING:
-    import warp as wp
-
     from geokit.volume.band.band import Band
     from geokit.volume.tree.device_writer import BuiltGrid
 
@@ -271,16 +270,12 @@ class TrimmedSurface(Surface):
 
     def contains(self, points: Any, *, sign: str = "auto", **options: Any) -> Any:
         """Whether points lie inside: also those on faces that were left out, where :class:`Surface` says no."""
-        import warp as wp
-
         winding = self._signs.winding_number(points, **options)
         if isinstance(winding, wp.array):
             return wp.array(winding.numpy() > 0.5, dtype=wp.bool, device=winding.device)
         return winding > 0.5
 
     def _sign(self, method: str, points: "wp.array", closest: ClosestPoints, reach: float) -> None:
-        import warp as wp
-
         from geokit.mesh.sign.parity_kernels import take_sign_kernel
 
         winding = self._signs._winding(points, host_flags(1, self._device)).numpy()

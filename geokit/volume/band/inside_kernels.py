@@ -1,7 +1,6 @@
 """Tests which voxels of a band lie inside, by pseudonormal or by winding number."""
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.mesh.bvh.nearest_kernels import nearest_slot

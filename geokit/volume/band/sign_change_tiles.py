@@ -8,16 +8,14 @@ without a child lies on one side.
 from __future__ import annotations
 
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core.base.late_warp import wp
 from geokit.volume.band.place_keys import keys_of, places_of
 from geokit.volume.band.tiles import LEAF_BYTES, MOST_TILES, TILE_VOXELS, WORKING_BYTES, Lattice, Tiles, in_grid_order
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["beyond_signs", "keep_sign_changes", "with_sign_changes"]
 
@@ -44,8 +42,6 @@ def with_sign_changes(lattice: Lattice, tiles: Tiles, method: str) -> Tiles:
     Raises:
         DeviceMemoryError: The tiles need more memory than there is.
     """
-    import warp as wp
-
     near = tiles.coordinates.numpy().astype(np.int64)
     origin = _box(lattice, method)[0] - 2
     # A band has fewer than 2^21 tiles along an axis.

@@ -12,13 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.memory.device_arena import Scratch
 from geokit.core.scan import prefix_sum
 from geokit.volume.band.tiles import Lattice
 
 if TYPE_CHECKING:
-    import warp as wp
-
     from geokit.volume.band.band import Band
 
 __all__ = ["inside_bits", "lost_components"]
@@ -59,8 +58,6 @@ def inside_bits(
     Source:
         Flooding: OpenVDB's meshToVolume. Differs: links between voxels come from exact distances, as bits.
     """
-    import warp as wp
-
     from geokit.volume.band import signs_kernels as kernels
 
     count, device = len(rows), lattice.device
@@ -96,8 +93,6 @@ class _SurfaceSigns:
 
     def regions(self, seeds: Any) -> "wp.array":
         """Whether the voxel of each region lies inside; undefined for regions without a voxel."""
-        import warp as wp
-
         from geokit.volume.band import inside_kernels, signs_kernels
 
         device, regions = self.lattice.device, signs_kernels.REGIONS
@@ -118,8 +113,6 @@ class _SurfaceSigns:
 
     def others(self, known: "wp.array", inside: "wp.array") -> None:
         """Test the voxels that are not known, and set the bits of those inside."""
-        import warp as wp
-
         from geokit.volume.band import inside_kernels, signs_kernels
 
         device, count = self.lattice.device, len(known)
@@ -154,8 +147,6 @@ class _SurfaceSigns:
 
     @property
     def _voxels(self) -> Any:
-        import warp as wp
-
         from geokit.volume.band.inside_kernels import BandVoxels
 
         voxels = BandVoxels()
@@ -178,8 +169,6 @@ def lost_components(band: Band, pieces: NDArray[np.int32], piece_count: int) -> 
             no face has are not lost.
         piece_count: Number of connected components.
     """
-    import warp as wp
-
     from geokit.volume.band import signs_kernels as kernels
 
     device, count = band.lattice.device, len(band.leaves.keys)
@@ -199,8 +188,6 @@ def lost_components(band: Band, pieces: NDArray[np.int32], piece_count: int) -> 
 
 def _positions(bits: "wp.array", where: list[Any]) -> tuple[list["wp.array"], "wp.array"]:
     """Bits, ends and counts as kernels take them, and the positions of the voxels whose bits are set."""
-    import warp as wp
-
     from geokit.volume.band import signs_kernels as kernels
 
     counts = wp.empty(len(bits), dtype=wp.int32, device=bits.device)

@@ -6,7 +6,6 @@ flood fill is made of shifts and ands.
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.memory import available_memory
 from geokit.core.memory.unchecked import allocating, sort_pairs
 from geokit.core.scan import gathered, prefix_sum
@@ -17,8 +18,6 @@ from geokit.errors import DeviceMemoryError
 from geokit.volume.band.lattice_origin import index_translation
 
 if TYPE_CHECKING:
-    import warp as wp
-
     from geokit.mesh.surfaces.surface import Surface
 
 __all__ = [
@@ -92,8 +91,6 @@ class Lattice:
     @property
     def arguments(self) -> list[Any]:
         """Translation and voxel size as kernels take them."""
-        import warp as wp
-
         return [wp.vec3d(*self.translation.tolist()), wp.float64(self.voxel_size)]
 
     def box(self, voxel_size: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -108,8 +105,6 @@ class Lattice:
         return self.surface.mesh._cache.find("area in its frame", self._measured_area)
 
     def _measured_area(self) -> float:
-        import warp as wp
-
         from geokit.volume.band.tiles_kernels import area_kernel
 
         count = self.surface.mesh.face_count
@@ -154,8 +149,6 @@ def near_tiles(lattice: Lattice, more_bytes: int = 0) -> Tiles:
     Raises:
         DeviceMemoryError: The tiles need more memory than there is.
     """
-    import warp as wp
-
     from geokit.volume.band import tiles_kernels as kernels
 
     device = lattice.device
@@ -197,8 +190,6 @@ def in_grid_order(
         low: First tile of a box around them, shape (3,).
         high: Last tile of that box.
     """
-    import warp as wp
-
     from geokit.volume.band import tiles_kernels as kernels
 
     device = cells.device

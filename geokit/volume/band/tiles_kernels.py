@@ -1,7 +1,6 @@
 """Finds the 8^3 tiles near a surface by halving the cells near it."""
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.mesh.bvh.nearest_kernels import distance_from_slot, nearest_slot, slot_within

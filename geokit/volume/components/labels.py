@@ -6,20 +6,18 @@ The cost grows with the cells, not with the components: a tile is one cell, howe
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.memory import available_memory
 from geokit.core.scan import prefix_sum
 from geokit.errors import DeviceMemoryError
 from geokit.volume.nanovdb.nodes import bits_of, slot_of, slot_places
 from geokit.volume.tree.typed_tree import RowTable, TypedTree
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["CELL_SPANS", "Labels", "Rows", "active_rows", "inside_rows", "label_components"]
 
@@ -128,8 +126,6 @@ def label_components(rows: tuple[Rows, ...], device: "wp.Device") -> Labels:
     Raises:
         DeviceMemoryError: There are too many cells.
     """
-    import warp as wp
-
     from geokit.volume.components import labels_kernels as kernels
 
     sizes = [len(part.origins) for part in rows]

@@ -8,7 +8,6 @@ hold -1 minus the number of their component.
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

@@ -8,12 +8,13 @@ around one component are the rows of that computation, so many components are co
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.volume.components.labels import CELL_SPANS, Labels, inside_rows, label_components
 from geokit.volume.components.split import tiles_of, volumes_of
 from geokit.volume.level_set.leaf_neighbors import AROUND
@@ -24,9 +25,6 @@ from geokit.volume.tree.estimates import require_host_room
 from geokit.volume.tree.leaves import voxelized
 from geokit.volume.tree.typed_tree import RowTable, TypedTree, tree_of
 from geokit.volume.tree.typed_writer import Tiles
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["split_level_set"]
 
@@ -179,8 +177,6 @@ class _Rows:
 
     def _near(self, part: NDArray[np.int64], device: "wp.Device") -> NDArray[np.uint64]:
         """Bit masks of the voxels that the band of each row's component may reach, (N, 8)."""
-        import warp as wp
-
         from geokit.volume.level_set.mask_dilation_kernels import grow_vertices_kernel
 
         rows = _DeviceRows(self, part, device)
@@ -215,8 +211,6 @@ class _Rows:
 
     def _distances(self, part: NDArray[np.int64], device: "wp.Device") -> NDArray[np.float32]:
         """Distance [voxels] of the voxels outside to the component of each row, infinite beyond the band."""
-        import warp as wp
-
         from geokit.volume.components import level_sets_kernels as kernels
         from geokit.volume.level_set.mask_dilation_kernels import grow_vertices_kernel
 
@@ -267,8 +261,6 @@ class _DeviceRows:
     """Rows on a device, with links between those of one component, as ``Band`` takes them."""
 
     def __init__(self, rows: _Rows, part: NDArray[np.int64], device: "wp.Device") -> None:
-        import warp as wp
-
         tree, leaf, origins = rows.tree, rows.leaf[part], rows.origins[part]
         own = rows.own(part)
         values = tree.values[leaf].astype(np.float64)

@@ -4,7 +4,6 @@ Rows, elements and bits are those of ``leaf_neighbors_kernels``; a row is a leaf
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.volume.level_set.feature_transform_kernels import distance_from

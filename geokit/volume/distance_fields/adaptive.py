@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.base.object_cache import CacheAttribute
 from geokit.core.gradients.differentiable import of_constants
 from geokit.core.interop import user_arrays
@@ -195,8 +196,6 @@ class AdaptiveSDF:
         save(path, *self.levels, codec=codec)
 
     def _answer(self, points: Any, device: Any, *, gradient: bool) -> Any:
-        import warp as wp
-
         from geokit.volume.adaptive import sample_kernels
 
         target = launcher.resolve_device(device)

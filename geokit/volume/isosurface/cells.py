@@ -7,20 +7,18 @@ expanded into voxels: a tile is only examined where it differs from its neighbor
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core.base.late_warp import wp
 from geokit.core.memory.device_arena import Scratch
 from geokit.core.memory.pinned import host_flags
 from geokit.volume.isosurface.launch import GRAIN, fill_offsets, launch_even, require_memory
 from geokit.volume.isosurface.nodes import Topology, topology_of
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.nodes import slot_places
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["CrossedCells", "crossed_cells"]
 
@@ -67,8 +65,6 @@ def crossed_cells(volume: SparseVolume, isovalue: float, device: Any) -> Crossed
     Raises:
         DeviceMemoryError: There is not enough memory.
     """
-    import warp as wp
-
     from geokit.volume.isosurface import cells_kernels as kernels
 
     grid = volume.on(device)
@@ -112,15 +108,11 @@ def crossed_cells(volume: SparseVolume, isovalue: float, device: Any) -> Crossed
 
 def _lists(blocks: int) -> list[tuple[tuple[int, ...], Any]]:
     """Shapes of four arrays about blocks: has crossed cells, prefix sum of that, list of such blocks, place in it."""
-    import warp as wp
-
     return [((blocks,), wp.int32)] * 4
 
 
 def _find_sides(cells: Any, topology: Topology, isovalue: float, device: Any) -> Any:
     """Fill in ``cells.sides`` and the location of float32 values; return an array that must be kept alive."""
-    import warp as wp
-
     from geokit.volume.isosurface import cells_kernels as kernels
 
     count = cells.leaf_count
@@ -154,8 +146,6 @@ def _tree(
     cells: Any, topology: Topology, isovalue: float, device: Any, tile_inside: "wp.array", around: "wp.array"
 ) -> Any:
     """The kernels' struct of lower nodes, with ``tile_inside`` and ``around`` filled in."""
-    import warp as wp
-
     from geokit.volume.isosurface import cells_kernels as kernels
 
     tree: Any = kernels.Tree()
@@ -186,8 +176,6 @@ def _border_origins(
         isovalue: Value of the surface.
         device: Device of the arrays.
     """
-    import warp as wp
-
     from geokit.volume.isosurface import cells_kernels as kernels
 
     found = [_blocks_below(topology.leaves.origins, leaf_below.numpy())]
@@ -215,8 +203,6 @@ def _blocks_below(origins: NDArray[np.int32], below: NDArray[np.uint8]) -> NDArr
 
 
 def _add_border_blocks(cells: Any, tree: Any, origins: NDArray[np.int32], isovalue: float) -> None:
-    import warp as wp
-
     from geokit.volume.isosurface import cells_kernels as kernels
 
     device = cells.origin.device

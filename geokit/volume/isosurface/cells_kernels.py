@@ -6,7 +6,6 @@ the voxels of 64 cells at once. Only functions that read values depend on their 
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

@@ -6,7 +6,6 @@ next to an edge of the surface the other side belongs to another face.
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

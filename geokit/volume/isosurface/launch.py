@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.memory import available_memory
 from geokit.core.memory.device_arena import Scratch, ScratchArray
 from geokit.core.memory.pinned import host_arrays
 from geokit.errors import DeviceMemoryError
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["GRAIN", "PLANES", "fill_offsets", "launch_even", "launch_planes", "require_memory", "used_only"]
 
@@ -56,8 +54,6 @@ def fill_offsets(counts: Sequence[ScratchArray], starts: Sequence[ScratchArray])
     Raises:
         DeviceMemoryError: A total exceeds int32.
     """
-    import warp as wp
-
     from geokit.volume.isosurface.cells_kernels import totals_kernel
 
     device, items = counts[0].device, len(counts[0])
@@ -84,8 +80,6 @@ def used_only(vertices: "wp.array", faces: "wp.array") -> tuple["wp.array", "wp.
     Raises:
         DeviceMemoryError: There is not enough memory.
     """
-    import warp as wp
-
     from geokit.core.sorting.gather_kernels import GATHER
     from geokit.volume.isosurface import cells_kernels as kernels
 

@@ -7,7 +7,6 @@ triangles that would need it are left out.
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

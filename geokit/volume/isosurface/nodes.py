@@ -8,11 +8,12 @@ edge or a corner alone does not matter.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core.base.late_warp import wp
 from geokit.errors import DeviceMemoryError
 from geokit.volume.isosurface.launch import LARGEST
 from geokit.volume.model.sparse_volume import SparseVolume
@@ -21,9 +22,6 @@ from geokit.volume.nanovdb.nodes import GridNodes, NodePlaces, grid_nodes, root_
 from geokit.volume.nanovdb.upload import above_leaves
 from geokit.volume.tree.estimates import require_host_room
 from geokit.volume.tree.grid_head import root_keys_of
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["LargeTileBorders", "Topology", "large_tile_borders", "topology_of"]
 
@@ -123,8 +121,6 @@ class Topology:
 
     def on(self, device: "wp.Device") -> tuple["wp.array", ...]:
         """The arrays on a device."""
-        import warp as wp
-
         if device.alias not in self.arrays:
             leaves = self.leaves
             self.arrays[device.alias] = (

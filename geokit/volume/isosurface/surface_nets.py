@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.memory.device_arena import Scratch, ScratchArray
 from geokit.core.memory.pinned import host_flags
 from geokit.volume.isosurface.cells import CrossedCells, crossed_cells
@@ -17,8 +18,6 @@ from geokit.volume.isosurface.marching_cubes_cases import loop_table, sum_table,
 from geokit.volume.model.sparse_volume import SparseVolume
 
 if TYPE_CHECKING:
-    import warp as wp
-
     from geokit.core.memory.host_array import HostArray
 
 __all__ = ["marching_cubes", "surface_nets"]
@@ -56,8 +55,6 @@ def surface_nets(
         Gibson, Constrained Elastic Surface Nets (1998). Differs: vertices stay at the mean of the crossings, and a cell
         has a vertex for each sheet, so that each edge has two faces.
     """
-    import warp as wp
-
     from geokit.volume.isosurface import surface_nets_kernels as kernels
 
     found = crossed_cells(volume, isovalue, device)
@@ -90,16 +87,12 @@ def surface_nets(
 @functools.lru_cache(maxsize=16)
 def _tables(device: str) -> tuple["wp.array", "wp.array"]:
     """loop_table and sum_table on a device."""
-    import warp as wp
-
     loops, sums = (wp.array(table, dtype=wp.uint32, device=device) for table in (loop_table(), sum_table()))
     return loops, sums
 
 
 def _around(found: CrossedCells, isovalue: float) -> list["wp.array"]:
     """Leaf or tile value in the 27 places around each crossed block."""
-    import warp as wp
-
     from geokit.volume.isosurface import dual_contouring_kernels as kernels
 
     count, device = kernels.AROUND * found.count, found.device
@@ -114,8 +107,6 @@ def _count(
     found: CrossedCells, table: "wp.array", planes: int, isovalue: float
 ) -> tuple[ScratchArray, ScratchArray, list[ScratchArray], list[ScratchArray], HostArray]:
     """Joined cells, records, vertex and quad counts of each plane, arrays for their prefix sums, and flags."""
-    import warp as wp
-
     from geokit.volume.isosurface import surface_nets_cases_kernels as kernels
 
     device = found.device
@@ -158,8 +149,6 @@ def marching_cubes(
         Lorensen and Cline, Marching Cubes (1987). Differs: inside corners at the ends of a face's diagonal are cut off
         separately, on both sides of the face, and no triangle edge is a diagonal of a face, so each edge has two faces.
     """
-    import warp as wp
-
     from geokit.volume.isosurface import marching_cubes_kernels as kernels
 
     found = crossed_cells(volume, isovalue, device)
@@ -187,7 +176,5 @@ def marching_cubes(
 @functools.lru_cache(maxsize=16)
 def _triangle_tables(device: str) -> tuple["wp.array", "wp.array"]:
     """Triangle tables of all cases on a device: the first triangle of each case, and the edges of the corners."""
-    import warp as wp
-
     start, edges = (wp.array(table, dtype=wp.int32, device=device) for table in triangle_table())
     return start, edges

@@ -6,7 +6,6 @@ both cells, and each cell has one sheet more.
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.require import require_choice
 from geokit.volume.level_set.leaf_neighbors import LinkedLeaves
 from geokit.volume.model.sparse_volume import SparseVolume
@@ -17,9 +18,6 @@ from geokit.volume.tree.estimates import FARTHEST_TILE
 from geokit.volume.tree.leaves import LEAF_VOXELS, Leaves, dequantized, require_volume
 from geokit.volume.tree.typed_tree import VALUE_TYPES, TypedTree, differs, tree_of, voxelized_tree
 from geokit.volume.tree.typed_writer import rebuilt
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["NEIGHBORS", "changed_topology"]
 
@@ -96,8 +94,6 @@ def _grown(leaves: LinkedLeaves, words: "wp.array", count: int, neighbors: str) 
 
 
 def _stepped(leaves: LinkedLeaves, words: "wp.array", count: int, neighbors: str, shrink: bool) -> "wp.array":
-    import warp as wp
-
     from geokit.volume.level_set import mask_dilation_kernels as kernels
 
     kernel = getattr(kernels, f"grow_{neighbors}_kernel")

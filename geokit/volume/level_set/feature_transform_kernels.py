@@ -7,7 +7,6 @@ voxel changes. Its distance is that to the feature's piece of surface.
 from typing import Any
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

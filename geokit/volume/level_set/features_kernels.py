@@ -7,7 +7,6 @@ side is 1 inside, and -1 for no feature.
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core.scan_kernels import begin_of

@@ -1,7 +1,6 @@
 """Distances at the corners of crossed cells, chosen so that the surface does not move."""
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.memory import available_memory
 from geokit.errors import DeviceMemoryError, InputError
 from geokit.volume.band.place_keys import KEY_BITS, keys_of
@@ -15,9 +16,6 @@ from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.types import QUANTIZED
 from geokit.volume.tree.estimates import require_places
 from geokit.volume.tree.leaves import Leaves, leaves_of, voxelized
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["LinkedLeaves"]
 
@@ -54,8 +52,6 @@ class LinkedLeaves:
     inside: "wp.array"
 
     def __init__(self, volume: SparseVolume, isovalue: float, device: "wp.Device") -> None:
-        import warp as wp
-
         from geokit.volume.level_set import leaf_neighbors_kernels as kernels
 
         source = voxelized(volume) if volume.info.grid_type in QUANTIZED else volume
@@ -81,8 +77,6 @@ class LinkedLeaves:
     @classmethod
     def bare(cls, volume: SparseVolume, leaves: Leaves, device: "wp.Device") -> LinkedLeaves:
         """Rows without values for leaves of a grid of any type; no voxel counts as inside."""
-        import warp as wp
-
         made = cls.__new__(cls)
         made._begin(volume, leaves, -np.inf, device)
         masks = np.ascontiguousarray(leaves.masks).reshape(-1).view(np.uint64)
@@ -91,8 +85,6 @@ class LinkedLeaves:
         return made
 
     def _begin(self, volume: SparseVolume, leaves: Leaves, isovalue: float, device: "wp.Device") -> None:
-        import warp as wp
-
         self.device = device
         self.volume = volume
         self.handle = wp.uint64(volume.id(device))
@@ -106,8 +98,6 @@ class LinkedLeaves:
         Args:
             rounding: Largest value that counts as 0 [world].
         """
-        import warp as wp
-
         from geokit.volume.level_set.leaf_neighbors_kernels import beside_zeros_kernel
 
         wider = wp.empty_like(self.active)
@@ -117,8 +107,6 @@ class LinkedLeaves:
 
     def add(self, tiles: NDArray[np.int32]) -> None:
         """Add rows for new leaves; they take the side of the tiles in their places."""
-        import warp as wp
-
         from geokit.volume.level_set.leaf_neighbors_kernels import tile_side_kernel
 
         if not len(tiles):
@@ -134,8 +122,6 @@ class LinkedLeaves:
 
     def extended(self, array: "wp.array", per_row: int, fill: int) -> "wp.array":
         """The array, with ``per_row`` elements per row, extended by ``fill`` to all rows."""
-        import warp as wp
-
         wanted = per_row * len(self.tiles)
         if len(array) == wanted:
             return array
@@ -145,8 +131,6 @@ class LinkedLeaves:
 
     def within(self, words: "wp.array", reach: int) -> NDArray[np.int32]:
         """Unique coordinates of leaves without a row that are within ``reach`` [voxels] of the voxels set in words."""
-        import warp as wp
-
         from geokit.volume.level_set.feature_transform_kernels import reached_box_kernel
 
         count = len(self.tiles)
@@ -168,8 +152,6 @@ class LinkedLeaves:
         return np.unique(wanted, axis=0).astype(np.int32).reshape(-1, 3)
 
     def _read(self) -> tuple["wp.array", "wp.array"]:
-        import warp as wp
-
         from geokit.volume.level_set.leaf_neighbors_kernels import read_rows_kernel
 
         count = len(self.tiles)
@@ -180,8 +162,6 @@ class LinkedLeaves:
         return values, inside
 
     def _link(self) -> None:
-        import warp as wp
-
         from geokit.volume.level_set.leaf_neighbors_kernels import link_kernel
 
         count, device = len(self.tiles), self.device

@@ -5,7 +5,6 @@ bit ``8 y + z`` of word ``8 t + x`` of an array of bit masks.
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.volume.nanovdb.read_voxel_kernels import grid_type_of, node_of, read_voxel

@@ -6,7 +6,6 @@ adjacent leaf.
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})

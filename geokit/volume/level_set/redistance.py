@@ -5,12 +5,13 @@ Beyond the sharp edges of an eroded body they are those from the body behind tan
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.scan import prefix_sum
 from geokit.volume.level_set.band_widths import widths_of
 from geokit.volume.level_set.leaf_neighbors import LinkedLeaves
@@ -22,9 +23,6 @@ from geokit.volume.tree.device_writer import Leaves, build_on_device
 from geokit.volume.tree.estimates import least_leaves
 from geokit.volume.tree.grid_head import checked_head, info_like, result_head, volume_from_buffer
 from geokit.volume.tree.leaves import build_real_grid
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["Band", "redistance"]
 
@@ -104,8 +102,6 @@ class Band:
     feet: "wp.array"
 
     def __init__(self, leaves: LinkedLeaves, background: float, voxel_size: float, isovalue: float) -> None:
-        import warp as wp
-
         from geokit.volume.level_set.features_kernels import Features
 
         self.leaves, self.device = leaves, leaves.device
@@ -121,8 +117,6 @@ class Band:
 
     def hold_seeds(self) -> None:
         """Hold the corners of crossed cells, with their values divided by the slope."""
-        import warp as wp
-
         from geokit.volume.level_set import interface_distance_kernels as kernels
 
         leaves = self.leaves
@@ -154,8 +148,6 @@ class Band:
             self._settle(still, at + WAY_MARGIN)
 
     def _choose(self, only_border: bool) -> tuple["wp.array", "wp.array"]:
-        import warp as wp
-
         from geokit.volume.level_set import features_kernels as kernels
 
         leaves, beside = self.leaves, self.leaves.beside
@@ -192,8 +184,6 @@ class Band:
 
     def _reached(self) -> "wp.array":
         """Bit masks of the voxels that have a feature."""
-        import warp as wp
-
         from geokit.volume.level_set.feature_transform_kernels import reached_kernel
 
         count = 8 * len(self.leaves.tiles)
@@ -203,8 +193,6 @@ class Band:
 
     def _settle(self, still: "wp.array", reach: float) -> None:
         """Run rounds until no voxel finds a nearer feature."""
-        import warp as wp
-
         from geokit.volume.level_set import feature_transform_kernels as kernels
 
         leaves, device = self.leaves, self.device
@@ -228,8 +216,6 @@ class Band:
 
     def volume(self, like: SparseVolume, background: float, least: float) -> SparseVolume:
         """The band as a grid, with the transform, name and metadata of another; no new distance is below ``least``."""
-        import warp as wp
-
         from geokit.volume.level_set import leaf_neighbors_kernels as links
         from geokit.volume.level_set.feature_transform_kernels import FILL
 
@@ -255,8 +241,6 @@ class Band:
         return _float_volume(leaves, rows, value, active, negative, background, like)
 
     def _words(self) -> "wp.array":
-        import warp as wp
-
         return wp.empty(8 * self.rows, dtype=wp.uint64, device=self.device)
 
     def _launch(self, kernel: Any, inputs: list[Any], outputs: list[Any]) -> None:
@@ -273,8 +257,6 @@ def _float_volume(
     background: float,
     like: SparseVolume,
 ) -> SparseVolume:
-    import warp as wp
-
     from geokit.volume.level_set.leaf_neighbors_kernels import gather_rows_kernel
     from geokit.volume.tree.device_writer_kernels import copy_leaves_kernel
 
@@ -334,8 +316,6 @@ def _hold_beyond_edges(
         spread: Nearest feature of each voxel, and the features.
         known, held: Distances [world], and bit masks of the voxels that have one; both are changed.
     """
-    import warp as wp
-
     from geokit.mesh.model.device_mesh import mesh_on_device
     from geokit.mesh.surfaces.surface import Surface
     from geokit.volume.isosurface.surface_nets import surface_nets

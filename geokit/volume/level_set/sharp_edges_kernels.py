@@ -7,7 +7,6 @@ field is one of distances. ``leaf_neighbors_kernels`` defines rows, elements and
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core.scan_kernels import begin_of

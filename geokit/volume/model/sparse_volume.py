@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
+from geokit.core.base.late_warp import wp
 from geokit.core.base.object_cache import CacheAttribute
 from geokit.core.interop.notebook import repr_html, show
 from geokit.core.interop.types import Array, Device, Devices, Rows
@@ -20,8 +21,6 @@ from geokit.volume.nanovdb.grid_info import GridInfo
 from geokit.volume.nanovdb.header import aligned_buffer, is_aligned
 
 if TYPE_CHECKING:
-    import warp as wp
-
     from geokit.volume._curvature import Curvatures
     from geokit.volume._dense import DenseGrid
     from geokit.volume._integrate import Transmittance

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from geokit.core.base.late_warp import wp
 from geokit.core.download import bytes_of
 
 if TYPE_CHECKING:
-    import warp as wp
     from numpy.typing import NDArray
 
 __all__ = ["array_of", "copied_grid", "empty_grid", "made_volume"]
@@ -23,8 +23,6 @@ LARGEST_ARRAY = (1 << 31) - 1
 
 def array_of(buffer: NDArray[np.uint8]) -> "wp.array":
     """A grid in host memory as an array that shares it."""
-    import warp as wp
-
     shown: Any = wp.array(buffer[:LARGEST_ARRAY], dtype=wp.uint8, device="cpu", copy=False)
     shown._geokit_source = buffer
     return shown
@@ -32,8 +30,6 @@ def array_of(buffer: NDArray[np.uint8]) -> "wp.array":
 
 def empty_grid(size: int, device: "wp.Device", *, zeroed: bool = True) -> "wp.array":
     """Memory on a device for a grid of ``size`` bytes."""
-    import warp as wp
-
     # Items of 32 bytes, of which warp counts 2^31.
     items = -(-size // wp.types.type_size_in_bytes(wp.vec4d))
     made: Any = (wp.zeros if zeroed else wp.empty)(items, dtype=wp.vec4d, device=device)
@@ -44,8 +40,6 @@ def empty_grid(size: int, device: "wp.Device", *, zeroed: bool = True) -> "wp.ar
 
 def copied_grid(source: "wp.array", size: int, device: "wp.Device") -> "wp.array":
     """Copy a grid of ``size`` bytes to a device."""
-    import warp as wp
-
     made = empty_grid(size, device, zeroed=False)
     for start in range(0, size, LARGEST_ARRAY):
         count = min(LARGEST_ARRAY, size - start)
@@ -59,8 +53,6 @@ def made_volume(grid: "wp.array", size: int) -> "wp.Volume":
     Raises:
         RuntimeError: There is another volume of the same memory.
     """
-    import warp as wp
-
     # Of its argument it uses these three alone.
     memory: Any = SimpleNamespace(device=grid.device, ptr=grid.ptr, size=size)
     return wp.Volume(memory, copy=False)

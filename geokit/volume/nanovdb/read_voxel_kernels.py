@@ -11,7 +11,6 @@ The buffer is not checked here: the caller must reject grids with damaged offset
 from typing import Any
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

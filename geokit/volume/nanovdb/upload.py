@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from geokit.core.base.late_warp import wp
 from geokit.core.download import download_into
 from geokit.core.launcher import resolve_device
 from geokit.core.memory.available_memory import available
@@ -15,7 +16,6 @@ from geokit.volume.nanovdb.layout import ALIGNMENT
 
 if TYPE_CHECKING:
     import numpy as np
-    import warp as wp
     from numpy.typing import NDArray
 
     from geokit.volume.model.sparse_volume import SparseVolume

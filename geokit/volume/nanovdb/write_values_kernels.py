@@ -3,7 +3,6 @@
 from typing import Any
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core.atomic_kernels import lower_to

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.launches import captured, prepared
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.rays.ray_field import LEAF_SPAN, anchor_of, stored_box
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["CrossingBlocks", "crossing_blocks", "known_blocks"]
 
@@ -86,8 +84,6 @@ def _find(
     first: NDArray[np.int64],
     count: NDArray[np.int64],
 ) -> CrossingBlocks:
-    import warp as wp
-
     from geokit.volume.rays import crossing_blocks_kernels as kernels
 
     single = volume.info.grid_type == "float"

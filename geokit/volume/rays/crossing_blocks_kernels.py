@@ -16,7 +16,6 @@ leaf and those of its neighbors, and never walks the tree.
 from typing import Any
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

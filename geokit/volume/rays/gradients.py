@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.gradients.library import Library
 from geokit.core.gradients.rules import Asked, Deferred, Rule, held_by, untracked
 from geokit.core.interop import user_arrays
@@ -19,8 +20,6 @@ from geokit.volume.rays.ray_field import ray_field
 from geokit.volume.tree.leaves import value_places
 
 if TYPE_CHECKING:
-    import warp as wp
-
     from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["INTEGRATE"]
@@ -31,8 +30,6 @@ class _Walk:
 
     def __init__(self, asked: Asked, origins: Any, directions: Any) -> None:
         """``origins`` and ``directions`` are constant rays of any container, in float64."""
-        import warp as wp
-
         arguments = asked.arguments
         self.device = launcher.resolve_device(arguments["device"])
         rows = [origins, directions]
@@ -49,8 +46,6 @@ class _Walk:
 
     def answer(self) -> tuple[Any, Any]:
         """Transmittance and emission in float64."""
-        import warp as wp
-
         from geokit.volume.rays.integrate_kernels import DEPTH, emission_kernel
 
         found = [user_arrays.empty(len(self.rays), wp.float64, self.rays.rows) for _ in range(2)]
@@ -62,8 +57,6 @@ class _Walk:
 
     def derivatives(self, slopes: Any) -> dict[str, Any]:
         """Derivatives by name in the container of the rays; a row of ``slopes`` is that of ray_slopes_kernel."""
-        import warp as wp
-
         from geokit.volume.rays import integrate_slopes_kernels as kernels
 
         device, rows = self.device, self.rays.rows
@@ -96,8 +89,6 @@ class _Sums:
     """Sums of the shares of a grid's values, with an entry for each value of its buffer; see collect_kernel."""
 
     def __init__(self, grid: SparseVolume | None, like: Any, device: "wp.Device") -> None:
-        import warp as wp
-
         count = 0
         if grid is not None:
             places, size = value_places(grid), 4 if grid.info.grid_type == "float" else 8

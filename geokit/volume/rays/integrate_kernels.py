@@ -6,7 +6,6 @@ Along a ray the interpolant of a cell is a cubic, so its integral is a polynomia
 from typing import Any
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

@@ -5,7 +5,6 @@ above the largest share, which a first walk finds.
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

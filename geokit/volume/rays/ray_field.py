@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core.base.late_warp import wp
 from geokit.errors import UnsupportedGridError
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.checks import check_volume
 from geokit.volume.nanovdb.nodes import bits_of, grid_nodes, root_origins
 from geokit.volume.nanovdb.types import SCALAR_TYPES
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["LEAF_SPAN", "anchor_of", "ray_field", "stored_box"]
 
@@ -37,8 +35,6 @@ def ray_field(volume: SparseVolume, device: "wp.Device", *others: SparseVolume) 
     Raises:
         UnsupportedGridError: The grid has several components, or no values at all.
     """
-    import warp as wp
-
     from geokit.volume.rays.raycast_kernels import RayField
 
     for grid in (volume, *others):

@@ -6,7 +6,6 @@ In a cell the interpolant is a cubic along the ray; see crossing.inl.
 from typing import Any
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

@@ -1,7 +1,6 @@
 """The voxels nearest to points: whether they are active, in grids of any type, and values of int64 grids."""
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

@@ -1,7 +1,6 @@
 """Computes the curvatures of a level set from the gradient and the Hessian of its field."""
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})

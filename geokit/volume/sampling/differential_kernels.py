@@ -8,7 +8,6 @@ holds for rotated, sheared and non-uniform voxels. Outputs of inactive voxels ar
 from typing import Any
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.volume.nanovdb.read_voxel_kernels import grid_type_of, node_of, read_voxel

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.gradients.library import Library, dot
 from geokit.core.gradients.rules import Asked, Rule, is_torch_tensor, untracked
 from geokit.errors import InputError
@@ -179,8 +180,6 @@ def _slopes_of_tensors(asked: Asked, arrays: Any) -> Any:
         return None
     if order == 1 and made_table(volume, device) is not None:
         return None
-    import warp as wp
-
     from geokit.core.gradients.tensor_rows import TensorRows, launch
 
     rows = points.double()

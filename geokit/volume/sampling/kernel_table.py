@@ -5,15 +5,13 @@ Importing it compiles nothing: warp compiles a module of kernels at its first la
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from geokit.core.base.late_warp import wp
 from geokit.volume.sampling import cubic_kernels as cubic
 from geokit.volume.sampling import quadratic_kernels as quadratic
 from geokit.volume.sampling import sample_kernels as low
 from geokit.volume.sampling import staggered_kernels as staggered
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["query_kernel"]
 

@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.launches import captured, prepared
 from geokit.core.memory.available_memory import available
 
 if TYPE_CHECKING:
-    import warp as wp
-
     from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["leaf_table", "made_table"]
@@ -93,8 +92,6 @@ def _most_entries(volume: SparseVolume, first: np.ndarray, size: np.ndarray) -> 
 def _make(
     volume: SparseVolume, device: "wp.Device", lower: np.ndarray, size: np.ndarray, *, with_pairs: bool = True
 ) -> Any:
-    import warp as wp
-
     from geokit.volume.sampling import leaf_table_kernels as kernels
 
     handle = wp.uint64(volume.id(device))
@@ -127,8 +124,6 @@ def add_pairs(table: Any, places: "wp.array", memory: int) -> None:
     Sampling on a GPU is bound by the 32-byte sectors that a cell touches: four and a half in a leaf, two and a half in
     the pairs.
     """
-    import warp as wp
-
     from geokit.volume.sampling import leaf_table_kernels as kernels
 
     device = table.slots.device

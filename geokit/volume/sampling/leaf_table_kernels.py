@@ -8,7 +8,6 @@ The entry of a leaf is its byte offset divided by 32. The entry of a tile is ~(b
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

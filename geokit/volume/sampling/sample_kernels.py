@@ -7,7 +7,6 @@ formed, so accuracy does not depend on where a grid lies in index space.
 from typing import Any
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.volume.nanovdb.read_voxel_kernels import grid_type_of, node_of, read_cell, read_voxel

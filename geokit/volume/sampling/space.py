@@ -6,12 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from geokit.core.base.late_warp import wp
 from geokit.core.require import require_choice
 from geokit.volume.model.sparse_volume import SparseVolume
 
 if TYPE_CHECKING:
-    import warp as wp
-
     from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["SPACES", "query_inputs", "require_space", "world_to_index"]
@@ -30,8 +29,6 @@ def require_space(space: str) -> None:
 
 def world_to_index(volume: SparseVolume, space: str = "world") -> tuple[Any, Any]:
     """Origin (vec3d) and matrix (mat33d) of the map to index coordinates, ``matrix * (point - origin)``."""
-    import warp as wp
-
     if space == "index":
         return wp.vec3d(0.0, 0.0, 0.0), wp.mat33d(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 
@@ -46,6 +43,4 @@ def world_to_index(volume: SparseVolume, space: str = "world") -> tuple[Any, Any
 
 def query_inputs(volume: SparseVolume, points: "wp.array", space: str = "world") -> list[Any]:
     """The first inputs of volume kernels: the grid's handle, the points, origin and matrix of world_to_index."""
-    import warp as wp
-
     return [wp.uint64(volume.id(points.device)), points, *world_to_index(volume, space)]

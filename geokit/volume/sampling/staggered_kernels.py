@@ -8,7 +8,6 @@ Source:
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.volume.sampling.sample_kernels import central_differences, linear_differences, linear_value, nearest_value

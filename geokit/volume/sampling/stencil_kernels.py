@@ -11,7 +11,6 @@ by rows along the last axis, so the branch on the grid type runs once per row.
 from typing import Any
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

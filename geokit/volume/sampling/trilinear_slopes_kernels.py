@@ -7,7 +7,6 @@ trilinear_table_kernels: each half of the answer has the bits that it has alone.
 from typing import Any
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.interop import user_arrays
 from geokit.core.launches.late_checks import later
 from geokit.core.memory.needs import is_out_of_memory
@@ -13,8 +14,6 @@ from geokit.volume.sampling.leaf_table import leaf_table, made_table
 from geokit.volume.sampling.space import world_to_index
 
 if TYPE_CHECKING:
-    import warp as wp
-
     from geokit.volume.model.sparse_volume import SparseVolume
 
 __all__ = ["gradient_linear", "sample_and_slopes", "sample_linear"]
@@ -43,8 +42,6 @@ def gradient_linear(volume: SparseVolume, points: Any, space: str, device: "wp.D
 
 
 def _answer(volume: SparseVolume, points: Any, space: str, device: "wp.Device", *, gradient: bool) -> Any:
-    import warp as wp
-
     table = leaf_table(volume, device, _count(points))
     if table is None:
         return None
@@ -89,8 +86,6 @@ def sample_and_slopes(volume: SparseVolume, points: Any, space: str, device: "wp
     Raises:
         InputError: points is not finite.
     """
-    import warp as wp
-
     from geokit.core.gradients.tensor_rows import TensorRows, launch, number_of
     from geokit.volume.sampling.trilinear_slopes_kernels import AT_ONCE
 

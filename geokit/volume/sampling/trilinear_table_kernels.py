@@ -11,7 +11,6 @@ All sums are those of sample_kernels, in the same order, so answers agree to the
 from typing import Any
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

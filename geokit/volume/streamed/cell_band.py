@@ -9,12 +9,13 @@ import os
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.errors import DeviceMemoryError
 from geokit.formats.blocks.records import BYTES_AT_A_TIME
 from geokit.formats.blocks.workers import Done
@@ -27,9 +28,6 @@ from geokit.volume.streamed.cells import LEAF_SPAN, LOWER_SPAN, Cell, CellLattic
 from geokit.volume.streamed.windings import AT_A_TIME, ColumnWindings
 from geokit.volume.tree.device_leaves import build_leaves
 from geokit.volume.tree.grid_head import GridHead
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["CellBands"]
 
@@ -177,8 +175,6 @@ class _CellSurface(Surface):
 
     def contains(self, points: Any, **_: Any) -> Any:
         """Whether voxels, given by their positions, lie inside; those on the surface are outside."""
-        import warp as wp
-
         assert self._windings is not None
         lattice = self._lattice
         where = points.numpy()

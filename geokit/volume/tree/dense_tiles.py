@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.errors import InputError
 from geokit.volume.nanovdb.layout import LEAF_VOXELS
 from geokit.volume.nanovdb.nodes import grid_nodes, slot_of
@@ -38,8 +39,6 @@ class DenseTiles:
     def __init__(
         self, dense: NDArray[Any], start: NDArray[np.int64], background: float, tolerance: float, level_set: bool
     ) -> None:
-        import warp as wp
-
         self.dense = dense
         self.background = background
         # Position of the array in its first tile, and the number of tiles.
@@ -127,7 +126,6 @@ class DenseTiles:
 
 def _launch_on_host(kernel: Any, count: int, inputs: list[Any], outputs: list[Any]) -> None:
     """Launch on the CPU with NumPy arrays, whose memory the kernel uses directly."""
-    import warp as wp
 
     def shared(value: Any) -> Any:
         if isinstance(value, np.ndarray):

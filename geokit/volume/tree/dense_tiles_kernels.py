@@ -6,7 +6,6 @@ Rows along z are contiguous.
 from typing import Any
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

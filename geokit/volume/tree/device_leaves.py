@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.memory.host_array import HostArray
 from geokit.errors import InputError
 from geokit.volume.nanovdb.layout import LEAF_VOXELS
@@ -40,8 +41,6 @@ def build_leaves(
     Raises:
         InputError: Origins are off the lattice, repeated or too far apart, or the arrays do not fit them.
     """
-    import warp as wp
-
     from geokit.volume.tree.device_writer_kernels import copy_leaves_kernel
     from geokit.volume.tree.node_signs_kernels import negative_bits_kernel
 
@@ -101,8 +100,6 @@ def fill_leaves(
 
 def _ordered(origins: NDArray[np.int32]) -> tuple[Leaves, NDArray[np.int64]]:
     """Leaves in the order of their keys, on the CPU, and which of the origins each is."""
-    import warp as wp
-
     keys, uppers = leaf_keys(origins)
     order = np.argsort(keys, kind="stable")
     twice = np.flatnonzero(keys[order][1:] == keys[order][:-1])

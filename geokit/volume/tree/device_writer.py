@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.memory.device_arena import Scratch, ScratchArray
 from geokit.core.memory.host_array import HostArray
 from geokit.core.memory.pinned import PinnedArray, host_arrays
@@ -21,9 +22,6 @@ from geokit.volume.nanovdb.header import HEAD_SIZE, aligned_buffer, grid_header
 from geokit.volume.nanovdb.layout import GridLayout
 from geokit.volume.tree.flood_signs import spread_signs
 from geokit.volume.tree.grid_head import GridHead, Places, places_of, write_head, write_root
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["BuiltGrid", "Leaves", "build_on_device"]
 
@@ -148,8 +146,6 @@ def _buffer(size: int, device: "wp.Device") -> tuple["wp.array", NDArray[np.uint
 
 
 def _put(buffer: "wp.array", host: NDArray[np.uint8] | None, start: NDArray[np.uint8]) -> None:
-    import warp as wp
-
     if host is not None:
         host[: len(start)] = start
     else:
@@ -160,8 +156,6 @@ class _Nodes:
     """Lower and upper nodes under construction."""
 
     def __init__(self, keys: "wp.array") -> None:
-        import warp as wp
-
         from geokit.volume.tree import device_writer_kernels as kernels
 
         count, device = len(keys), keys.device
@@ -198,8 +192,6 @@ def _spread_signs(
     inside: "wp.array | None", leaves: Leaves, lower: _Level, upper: _Level
 ) -> tuple[list[ScratchArray | None], Any]:
     """States of the slots of lower and upper nodes, and the faces of the upper nodes, for the host to read."""
-    import warp as wp
-
     from geokit.volume.tree.node_signs_kernels import leaf_faces_kernel
 
     if inside is None:
@@ -240,8 +232,6 @@ def _link(
     levels: tuple[Leaves, _Level, _Level],
     states: list[ScratchArray | None],
 ) -> None:
-    import warp as wp
-
     from geokit.volume.tree.device_writer_kernels import link_kernel
 
     leaves, lower, upper = levels
@@ -270,8 +260,6 @@ def _statistics(
 
     Returns those of the upper nodes, and the number of active voxels, for the host to read.
     """
-    import warp as wp
-
     from geokit.volume.tree.device_writer_kernels import KERNELS
 
     device = buffer.device

@@ -8,7 +8,6 @@ are the box, flag and extrema of grids of floats or integers; values have the ty
 from typing import Any
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp

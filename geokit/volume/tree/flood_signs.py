@@ -11,19 +11,17 @@ Source:
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.base.late_warp import wp
 from geokit.core.memory.host_array import HostArray
 from geokit.volume.nanovdb.nodes import root_origins, slot_of
 from geokit.volume.tree.grid_head import gaps_inside, root_keys_of, with_gaps
 from geokit.volume.tree.typed_tree import Nodes, TypedTree
-
-if TYPE_CHECKING:
-    import warp as wp
 
 __all__ = ["face_signs", "flood", "spread_signs", "with_signs"]
 

@@ -1,7 +1,6 @@
 """Signs of a level set's empty regions, propagated from the faces of its leaves through the slots of its nodes."""
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})

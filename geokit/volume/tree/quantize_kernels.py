@@ -4,7 +4,6 @@ Every float32 rounding matters here: product and sum are never fused, except whe
 """
 
 # mypy: ignore-errors
-# Annotations of kernels are warp's, not Python's.
 import warp as wp
 
 from geokit.core import cpp
