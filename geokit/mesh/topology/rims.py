@@ -16,10 +16,12 @@ Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 # Rims with more sides lose ears first: the time for the least area goes with the third power of the sides.
 MOST_SIDES = 256
-# What an edge adds to the area, in shares of its square: of flat patches, all of one area, one has no slivers.
-EDGE_SHARE = 1e-3
-# An ear does not fold back onto what lies beside it: the cosine between their normals is above this.
-FOLDED = -0.5
+# What a triangle costs that is no higher than its corners are rounded: it may point anywhere, so there are as few as can
+# be, and those of a straight side reach into the hole.
+THIN = 10.0
+# An ear does not fold back onto what lies beside it: the cosine between their normals is above the first of these; where
+# all do, as at the rim of a cone, above the second.
+FOLDED = -0.5, -0.95
 # Numbers in a table of the rims that are filled at once.
 BLOCK = 1 << 20
 
@@ -118,7 +120,14 @@ def _walks(follower: list[int], heads: list[int], position: list[int]) -> list[t
 
 
 def patches(
-    rims: Rims, points: Floats, wanted: NDArray[np.bool_], refused: Indices, barred: Indices, beside: Floats
+    rims: Rims,
+    points: Floats,
+    wanted: NDArray[np.bool_],
+    refused: Indices,
+    barred: Indices,
+    beside: Floats,
+    rounded: Floats,
+    edge_share: float,
 ) -> tuple[Indices, Indices]:
     """Triangles that fill rims, wound against them.
 
@@ -129,6 +138,9 @@ def patches(
         refused: Triangles that may not be made (M, 3), as they were returned.
         barred: Pairs of points of a rim that may not be joined (K, 2): :func:`geokit.mesh.topology.rims.edges_within`.
         beside: Unit normals of the faces at the half-edges (R, 3).
+        rounded: How far the points of each rim may be from where they were meant to be (H,).
+        edge_share: What an edge adds to the area, in shares of its square: of flat patches, all of one area, one has no
+            slivers. So much area may lie outside of a flat rim.
     Returns:
         Corners of the triangles as rows of ``points`` (T, 3), and the rim of each (T,); none for rims that cannot be
         filled.
@@ -142,7 +154,9 @@ def patches(
     for long in np.flatnonzero(wanted & (left > MOST_SIDES)):
         rows = slice(begin[long], begin[long + 1])
         pairs = barred[slice(*np.searchsorted(barred[:, 0], [rows.start, rows.stop]))] - rows.start
-        cut, kept = _cut_ears(local[rows], pairs, refused[rim[refused[:, 0]] == long] - rows.start, beside[rows])
+        cut, kept = _cut_ears(
+            local[rows], pairs, refused[rim[refused[:, 0]] == long] - rows.start, beside[rows], rounded[long]
+        )
         slot[rows] = -1
         slot[rows.start + kept] = np.arange(len(kept))
         left[long] = len(kept)
@@ -156,7 +170,7 @@ def patches(
             table = group[first : first + max(1, BLOCK // sides**2)]
             number = rim[table[:, 0]]
             not_these = (_within(number, rim, slot, of) for of in (barred, refused))
-            triangles, possible = _least_area(local[table], *not_these)
+            triangles, possible = _least_area(local[table], *not_these, rounded[number], edge_share)
             made.append(np.take_along_axis(table, triangles.reshape(len(table), -1), 1)[possible].reshape(-1, 3))
     found = np.concatenate([np.zeros((0, 3), np.int64), *made])
     cut = np.concatenate(ears)
@@ -171,13 +185,17 @@ def _within(number: Indices, rim: Indices, slot: Indices, points: Indices) -> In
     return np.concatenate([place[here, None], slot[points[here]]], axis=1)
 
 
-def _least_area(points: Floats, barred: Indices, refused: Indices) -> tuple[Indices, NDArray[np.bool_]]:
+def _least_area(
+    points: Floats, barred: Indices, refused: Indices, rounded: Floats, edge_share: float
+) -> tuple[Indices, NDArray[np.bool_]]:
     """The triangles over rims of equally many sides whose area is least.
 
     Args:
         points: Corners of the rims, in order (B, N, 3), about 1 in size.
         barred: Rims and pairs of their corners that may not be joined (K, 3), in both orders.
         refused: Rims and triangles that may not be made (M, 4).
+        rounded: Heights of triangles that are thin (B,).
+        edge_share: As for :func:`patches`.
     Returns:
         Corners of the triangles (B, N - 2, 3), wound against the rims, and whether there are any for each rim (B,).
     Source:
@@ -196,13 +214,18 @@ def _least_area(points: Floats, barred: Indices, refused: Indices) -> tuple[Indi
         along = points[:, first + span] - points[:, first]
         spoke = points[:, first[:, None] + np.arange(1, span)] - points[:, first, None]
         area = 0.5 * np.linalg.norm(np.cross(spoke, along[:, :, None]), axis=-1)
+        # The rim is about 1 wide, and so are its triangles at most.
+        thin = np.nonzero(area < 0.5 * rounded[:, None, None])
+        sides_of = spoke[thin], along[thin[:2]], along[thin[:2]] - spoke[thin]
+        longest = np.sqrt(np.max([(side**2).sum(-1) for side in sides_of], axis=0))
+        area[thin] += THIN * (2.0 * area[thin] < rounded[thin[0]] * longest)
         area += after[:, : sides - span, 1:span]
         area += before[:, span:, span - 1 : 0 : -1]
         now = high - low == span
         area[refused[now, 0], low[now], middle[now] - low[now] - 1] = np.inf
         apex = area.argmin(-1)
         best[:, : sides - span, span] = apex + 1
-        cost = np.take_along_axis(area, apex[..., None], -1)[..., 0] + EDGE_SHARE * (along**2).sum(-1)
+        cost = np.take_along_axis(area, apex[..., None], -1)[..., 0] + edge_share * (along**2).sum(-1)
         if span < sides - 1:
             cost[is_barred[:, first, first + span]] = np.inf
         after[:, : sides - span, span] = before[:, span:, span] = cost
@@ -219,7 +242,9 @@ def _least_area(points: Floats, barred: Indices, refused: Indices) -> tuple[Indi
     return triangles, np.isfinite(after[:, 0, sides - 1])
 
 
-def _cut_ears(points: Floats, barred: Indices, refused: Indices, beside: Floats) -> tuple[Indices, Indices]:
+def _cut_ears(
+    points: Floats, barred: Indices, refused: Indices, beside: Floats, rounded: float
+) -> tuple[Indices, Indices]:
     """Triangles over two neighboring sides of one rim each, until few sides are left.
 
     In each round those are cut off whose new edge is shorter than that of their neighbors.
@@ -229,6 +254,7 @@ def _cut_ears(points: Floats, barred: Indices, refused: Indices, beside: Floats)
         barred: Pairs of corners that may not be joined (K, 2), in both orders.
         refused: Triangles that may not be made (M, 3).
         beside: Unit normals of the faces along the sides, side i from corner i to the next (N, 3).
+        rounded: Height of triangles that are thin.
     Returns:
         Corners of the triangles (T, 3), wound against the rim, and the corners that are left in order; more than
         ``MOST_SIDES`` where no more ears can be cut.
@@ -237,6 +263,7 @@ def _cut_ears(points: Floats, barred: Indices, refused: Indices, beside: Floats)
     made = [np.zeros((0, 3), np.int64)]
     # Twice the area that the rim encloses, as a vector: patches face its other side.
     facing = -np.cross(points, np.roll(points, -1, axis=0)).sum(axis=0)
+    flat = points @ _across(facing)
     codes = [np.array([len(points), 1]), len(points) ** np.arange(2, -1, -1)]
     barred, refused = barred @ codes[0], refused @ codes[1]
     while len(left) > MOST_SIDES:
@@ -245,10 +272,16 @@ def _cut_ears(points: Floats, barred: Indices, refused: Indices, beside: Floats)
         size = np.linalg.norm(normal, axis=1)
         normal /= np.where(size > 0.0, size, 1.0)[:, None]
         length = np.linalg.norm(points[other] - points[one], axis=1)
-        folds = ((normal * beside).sum(1) <= FOLDED) | ((normal * np.roll(beside, 1, axis=0)).sum(1) <= FOLDED)
+        cosine = np.minimum((normal * beside).sum(1), (normal * np.roll(beside, 1, axis=0)).sum(1))
         ears = np.stack([left, one, other], axis=1)
-        folds |= np.isin(ears[:, 1:] @ codes[0], barred) | np.isin(ears @ codes[1], refused)
-        length[folds | (size == 0.0) | (normal @ facing <= 0.0)] = np.inf
+        usable = ~(np.isin(ears[:, 1:] @ codes[0], barred) | np.isin(ears @ codes[1], refused))
+        usable &= (size > 0.0) & (normal @ facing > 0.0)
+        usable[usable] = ~_covers(flat, ears[usable], left[normal @ facing <= 0.0])
+        plump = usable & (size >= rounded * length)
+        for usable in (plump & (cosine > FOLDED[0]), plump & (cosine > FOLDED[1]), usable & (cosine > FOLDED[1])):
+            if usable.any():
+                break
+        length[~usable] = np.inf
         # Of equal ones the lowest, so that there always is one.
         order = np.empty(len(left), np.int64)
         order[np.argsort(length, kind="stable")] = np.arange(len(left))
@@ -261,3 +294,37 @@ def _cut_ears(points: Floats, barred: Indices, refused: Indices, beside: Floats)
         beside = np.where(np.roll(ear, -1)[:, None], np.roll(normal, -1, axis=0), beside)[~ear]
         left = left[~ear]
     return np.concatenate(made), left
+
+
+def _across(normal: Floats) -> Floats:
+    """Two directions across a normal, as columns (3, 2); straight sides of a rim are seldom along one of them."""
+    other = np.cross(normal, np.roll(normal, 1) + [0.3, 0.5, 0.7])
+    axes = np.stack([other, np.cross(normal, other)], axis=1)
+    length = np.linalg.norm(axes, axis=0)
+    return np.asarray(axes / np.where(length > 0.0, length, 1.0))
+
+
+def _covers(points: Floats, ears: Indices, corners: Indices) -> NDArray[np.bool_]:
+    """Whether one of some corners of a flat rim lies in each ear or on its border (E,).
+
+    Args:
+        points: The rim in a plane (N, 2).
+        ears: Corners of triangles (E, 3).
+        corners: Rows of the rim: those where it is straight or turns inward.
+    """
+    across = points[corners, 0]
+    order = np.argsort(across)
+    sides = points[ears]
+    first = np.searchsorted(across[order], sides[..., 0].min(axis=1))
+    count = np.searchsorted(across[order], sides[..., 0].max(axis=1), side="right") - first
+    found = np.zeros(len(ears), bool)
+    for block in np.split(np.arange(len(ears)), np.flatnonzero(np.diff(np.cumsum(count) // BLOCK)) + 1):
+        ear = np.repeat(block, count[block])
+        place = np.arange(len(ear)) - np.repeat(np.cumsum(count[block]) - count[block], count[block])
+        corner = corners[order[first[ear] + place]]
+        away = points[corner][:, None] - sides[ear]
+        along = np.roll(sides, -1, axis=1)[ear] - sides[ear]
+        turn = along[..., 0] * away[..., 1] - along[..., 1] * away[..., 0]
+        inside = ((turn >= 0.0).all(axis=1) | (turn <= 0.0).all(axis=1)) & (ears[ear] != corner[:, None]).all(axis=1)
+        found[ear[inside]] = True
+    return found

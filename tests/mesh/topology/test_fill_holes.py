@@ -137,6 +137,32 @@ def test_long_rims_are_filled(count, wave):
         assert found.width[0] == pytest.approx(2.0, abs=1e-4)
 
 
+@pytest.mark.parametrize("single", [False, True], ids=["float64", "float32"])
+@pytest.mark.parametrize("count", [3, 12, 63, 100])
+def test_straight_sides_of_many_points_are_filled(count, single):
+    # A box's edge has points between its corners; three points of it are no triangle, whatever rounding makes of them.
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0.3, 1, 0], [0.3, 0.4, 0], [0, 0.4, 0]])
+    share = np.arange(count)[:, None] / count
+    rim = np.concatenate([a + share * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)])
+    turn, _ = np.linalg.qr(np.random.default_rng(7).normal(size=(3, 3)))
+    mesh = tube(rim)
+    for vertices in (mesh.vertices, mesh.vertices @ turn.T + turn[0]):
+        given = TriangleMesh(vertices.astype(np.float32).astype(float) if single else vertices, mesh.faces)
+        found = fill_holes(given)
+        assert found.filled.all()
+        assert abs(found.mesh.volume) == pytest.approx((0.4 + 0.7 * 0.6) / 3, rel=1e-5)
+        assert audit(found.mesh, self_intersections=True).self_intersection_count == 0
+
+
+@pytest.mark.parametrize("height", [1.0, 0.5])
+def test_long_rims_with_sharp_edges_are_filled(height):
+    # Each ear of the lid of a cone turns back by more than half a right angle.
+    mesh = tube(circle(300), height)
+    found = fill_holes(mesh)
+    require_sound(mesh, found)
+    assert found.filled.all()
+
+
 def test_wide_holes_stay():
     mesh = without(catalog.icosphere(3), [0, 5, 6, 7, 20, 21, 22, 23])
     every = fill_holes(mesh)
