@@ -16,11 +16,11 @@ Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 # Rims with more sides lose ears first: the time for the least area goes with the third power of the sides.
 MOST_SIDES = 256
-# What a triangle costs that is no higher than its corners are rounded: it may point anywhere, so there are as few as can
-# be, and those of a straight side reach into the hole.
+# What a triangle costs that is no higher than its corners are rounded: it may point anywhere, so there are as few as
+# can be, and those of a straight side reach into the hole.
 THIN = 10.0
-# An ear does not fold back onto what lies beside it: the cosine between their normals is above the first of these; where
-# all do, as at the rim of a cone, above the second.
+# An ear does not fold back onto what lies beside it: the cosine between their normals is above the first of these;
+# where all do, as at the rim of a cone, above the second.
 FOLDED = -0.5, -0.95
 # Numbers in a table of the rims that are filled at once.
 BLOCK = 1 << 20
@@ -169,8 +169,8 @@ def patches(
         for first in range(0, len(group), max(1, BLOCK // sides**2)):
             table = group[first : first + max(1, BLOCK // sides**2)]
             number = rim[table[:, 0]]
-            not_these = (_within(number, rim, slot, of) for of in (barred, refused))
-            triangles, possible = _least_area(local[table], *not_these, rounded[number], edge_share)
+            barred_here, refused_here = (_within(number, rim, slot, of) for of in (barred, refused))
+            triangles, possible = _least_area(local[table], barred_here, refused_here, rounded[number], edge_share)
             made.append(np.take_along_axis(table, triangles.reshape(len(table), -1), 1)[possible].reshape(-1, 3))
     found = np.concatenate([np.zeros((0, 3), np.int64), *made])
     cut = np.concatenate(ears)
@@ -278,10 +278,8 @@ def _cut_ears(
         usable &= (size > 0.0) & (normal @ facing > 0.0)
         usable[usable] = ~_covers(flat, ears[usable], left[normal @ facing <= 0.0])
         plump = usable & (size >= rounded * length)
-        for usable in (plump & (cosine > FOLDED[0]), plump & (cosine > FOLDED[1]), usable & (cosine > FOLDED[1])):
-            if usable.any():
-                break
-        length[~usable] = np.inf
+        tiers = plump & (cosine > FOLDED[0]), plump & (cosine > FOLDED[1]), usable & (cosine > FOLDED[1])
+        length[~next((tier for tier in tiers if tier.any()), tiers[-1])] = np.inf
         # Of equal ones the lowest, so that there always is one.
         order = np.empty(len(left), np.int64)
         order[np.argsort(length, kind="stable")] = np.arange(len(left))
@@ -298,7 +296,7 @@ def _cut_ears(
 
 def _across(normal: Floats) -> Floats:
     """Two directions across a normal, as columns (3, 2); straight sides of a rim are seldom along one of them."""
-    other = np.cross(normal, np.roll(normal, 1) + [0.3, 0.5, 0.7])
+    other = np.cross(normal, np.roll(normal, 1) + np.array([0.3, 0.5, 0.7]))
     axes = np.stack([other, np.cross(normal, other)], axis=1)
     length = np.linalg.norm(axes, axis=0)
     return np.asarray(axes / np.where(length > 0.0, length, 1.0))
