@@ -8,8 +8,6 @@ import platform
 from geokit import native
 from geokit._packages import DISTRIBUTION, PACKAGES
 
-__all__ = ["show_config"]
-
 # Beside those of the table of packages.
 _ALWAYS = ("warp-lang", "numpy", "lazy-loader")
 

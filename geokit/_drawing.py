@@ -7,8 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-__all__ = ["drawn_by", "picture", "show"]
-
 _functions: list[Callable[..., object]] = []
 
 

@@ -11,8 +11,6 @@ from typing import Any, NamedTuple
 from geokit.core.base.interrupts import signals_held
 from geokit.errors import MissingDependencyError
 
-__all__ = ["DISTRIBUTION", "PACKAGES", "Package", "remedy", "require_package"]
-
 # What pip knows geokit by: the project "geokit" on PyPI is another one.
 DISTRIBUTION = "geokit-nanovdb"
 

@@ -6,8 +6,6 @@ from pathlib import Path
 
 from geokit.errors import FileAccessError, InputError
 
-__all__ = ["folder_of", "sample_path"]
-
 # By the name within a wheel, as pyproject.toml packs them.
 IN_CHECKOUT = {"docs": "docs", "guides": "docs/guides", "samples": "data/samples"}
 

@@ -7,8 +7,6 @@ import warnings
 
 from geokit.core.base.printable import in_one_line
 
-__all__ = ["warn"]
-
 # Packages through which geokit calls itself; their frames are no caller's. From Python 3.12 on, warnings.warn can skip
 # frames by their files.
 _PASSED = {"contextlib", "functools", "geokit", "jax", "torch", "warp"}

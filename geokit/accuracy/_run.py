@@ -21,8 +21,6 @@ from geokit.volume.tree.leaves import require_volume
 if TYPE_CHECKING:
     from geokit.accuracy.trials.model import Chart, Measurement, Trial
 
-__all__ = ["default_subjects", "run"]
-
 ChartMaker = Callable[["Subject", Any, bool], "list[Chart]"]
 
 SAMPLES = Path(__file__).resolve().parents[2] / "data" / "samples"

@@ -13,8 +13,6 @@ from typing import Any
 
 from geokit.core.compiled.modules import kernel_modules
 
-__all__ = ["compile_all"]
-
 # Processes rather than threads, because warp compiles one module at a time in a process. Several processes can share
 # its cache. A builder reads module names from stdin and answers each with a line: "ok", or the error.
 _BUILDER = """

@@ -22,26 +22,6 @@ if TYPE_CHECKING:
     from geokit.points._io import PointCloud, Rays
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = [
-    "Columns",
-    "Device",
-    "FiniteOnly",
-    "Flag",
-    "Kind",
-    "UpAxis",
-    "called",
-    "grid_names",
-    "kind_of_input",
-    "kind_of_output",
-    "load_cloud",
-    "load_grid",
-    "load_rays",
-    "load_shown",
-    "may_write",
-    "refuse_unused",
-    "require_kind",
-]
-
 Kind = Literal["mesh", "volume", "cloud"]
 UpAxis = Annotated[Literal["x", "y", "z", "-x", "-y", "-z"], Parameter(allow_leading_hyphen=True)]
 _TABLE = "From a table of points (.csv .xyz .txt): names of the columns of x, y and z, as in east,north,up; by default "

@@ -12,8 +12,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-__all__ = ["COLUMNS", "QUERIES", "measure_latency"]
-
 COLUMNS = ("call", "first [s]", "CPU time [s]", "second [ms]", "compiled")
 SECONDS = 600.0
 

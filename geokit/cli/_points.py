@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from geokit.points._io import PointCloud
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["DEFAULT_COUNT", "balls", "save_cloud"]
-
 # Points on a mesh, if their number is not given.
 DEFAULT_COUNT = 100_000
 # Radius of the balls, in distances to the fourth neighbor: most neighbors overlap, and the voxels see it.

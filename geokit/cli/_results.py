@@ -19,21 +19,6 @@ from geokit.formats.table import FORMATS, extensions
 if TYPE_CHECKING:
     from geokit.mesh import TriangleMesh
 
-__all__ = [
-    "ASKING",
-    "DEFAULTS",
-    "OUTPUT_EXTENSIONS",
-    "Asking",
-    "Changed",
-    "Common",
-    "Source",
-    "check_output",
-    "deliver",
-    "deliver_mesh",
-    "described",
-    "spread",
-]
-
 OUTPUT_EXTENSIONS = tuple(sorted(kind for kind in extensions("points", "w") if not FORMATS[kind].limited))
 # "-o -" writes CSV to stdout, for pipes.
 STDOUT = Path("-")

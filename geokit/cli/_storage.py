@@ -11,8 +11,6 @@ from geokit.errors import InputError
 if TYPE_CHECKING:
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["Storage"]
-
 COMPRESSIONS = ("none", "zip", "blosc")
 QUANTIZATIONS = ("float", "fp4", "fp8", "fp16", "fpn")
 

@@ -22,8 +22,6 @@ from geokit.core.files import require_file
 from geokit.core.require import require_count, require_number
 from geokit.errors import InputError
 
-__all__ = ["batch"]
-
 
 def batch(
     *files: Annotated[Path, Parameter(name="FILES")],

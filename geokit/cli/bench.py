@@ -15,8 +15,6 @@ from geokit.errors import InputError
 if TYPE_CHECKING:
     from geokit.accuracy import Results, Subject
 
-__all__ = ["bench"]
-
 Names = Annotated[list[str] | None, Parameter(negative="")]
 
 

@@ -13,8 +13,6 @@ from geokit.cli._program.lengths import unit_of
 from geokit.cli._results import DEFAULTS, Common, deliver_mesh
 from geokit.errors import InputError
 
-__all__ = ["app"]
-
 app = App(name="boolean", help="Unite, subtract or intersect closed meshes.")
 
 Files = Annotated[Path, Parameter(name="FILES", help="The meshes to read, then the one to write.")]

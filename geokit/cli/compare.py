@@ -20,8 +20,6 @@ from geokit.errors import InputError
 from geokit.formats.table import FORMATS, with_formats
 from geokit.render.looks.color_maps import color_table
 
-__all__ = ["compare"]
-
 # Bars of a histogram, and the size of its picture [pixels].
 BINS, WIDTH, HEIGHT = 48, 720, 140
 # Of the deviations that have colors of their own without --limit.

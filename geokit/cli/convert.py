@@ -40,8 +40,6 @@ if TYPE_CHECKING:
     from geokit.points import PointCloud
     from geokit.volume import SparseVolume
 
-__all__ = ["convert"]
-
 # Default number of voxels along the longest side: enough detail to look at, built in about a second.
 DEFAULT_RESOLUTION = 128
 # Arguments that say what is converted, where and with what answer; the others say how, and may not apply.

@@ -13,9 +13,6 @@ from geokit.errors import FileAccessError, InputError
 if TYPE_CHECKING:
     from geokit.cli._demo.steps import DemoLog
 
-__all__ = ["demo"]
-
-
 OUTPUTS = (
     "sdf.nvdb",
     "sdf.vdb",

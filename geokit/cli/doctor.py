@@ -17,8 +17,6 @@ from cyclopts import Parameter
 from geokit.cli._program.console import note, plain, print_facts, print_json, print_table, step
 from geokit.core.base.late_warp import wp
 
-__all__ = ["doctor"]
-
 # Characters of a line of package versions.
 WIDTH = 110
 # A software renderer on a busy machine takes seconds to start.

@@ -8,8 +8,6 @@ from geokit._shipped import folder_of
 from geokit.cli._program.console import print_table
 from geokit.errors import InputError
 
-__all__ = ["guide"]
-
 
 def guide(name: str | None = None, /) -> None:
     """Print the list of guides, or one of them as a program: its text as comments, its commands and its code.

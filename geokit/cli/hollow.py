@@ -18,8 +18,6 @@ from geokit.errors import InputError
 if TYPE_CHECKING:
     from geokit.mesh import Surface, TriangleMesh
 
-__all__ = ["hollow"]
-
 # With voxels of a fifth of the wall, its thickness is right to about a twentieth of a voxel on smooth parts.
 VOXELS_IN_WALL = 5
 # From a corner of a box the cavity is the square root of 3 walls away; beyond twice the wall the part is solid.

@@ -12,8 +12,6 @@ from geokit.cli._program.console import print_facts, print_json, step
 from geokit.core.files import extension, size_of
 from geokit.errors import GeokitError
 
-__all__ = ["info"]
-
 
 def info(
     file: Path, /, *, finite_only: FiniteOnly = True, columns: Columns = None, stream: Flag = False, json: Flag = False

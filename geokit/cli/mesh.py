@@ -14,8 +14,6 @@ from geokit.cli._results import DEFAULTS, Changed, Common, Source, deliver_mesh
 from geokit.errors import InputError
 from geokit.formats.foreign import require_format
 
-__all__ = ["app"]
-
 app = App(name="mesh", help="Make simple bodies; split, move and color meshes.")
 
 Point = tuple[float, float, float]

@@ -8,8 +8,6 @@ from typing import Any
 from geokit.cli._kinds import Device, Flag, require_kind
 from geokit.cli._program.console import announce_compiling, note, print_json, print_table, step
 
-__all__ = ["plan"]
-
 COLUMNS = ("made by", "levels", "order", "codec", "voxel size", "half width", "error", "MiB", "seconds")
 
 

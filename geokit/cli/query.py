@@ -16,8 +16,6 @@ from geokit.cli._results import ASKING, DEFAULTS, OUTPUT_EXTENSIONS, Asking, Com
 from geokit.core.files import extension
 from geokit.formats.table import with_formats
 
-__all__ = ["app"]
-
 app = App(name="query", help="Find closest points, signed distances, ray hits, samples or neighbors.")
 
 Output = Annotated[Path | None, Parameter(name=["--output", "-o"], allow_leading_hyphen=True)]

@@ -13,8 +13,6 @@ from geokit.cli._program.console import announce_compiling, say, step
 from geokit.core.files import extension
 from geokit.errors import InputError
 
-__all__ = ["render"]
-
 AXES = "xyz"
 _DEFAULTS = {
     "azimuth": None,

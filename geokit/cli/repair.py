@@ -7,8 +7,6 @@ from geokit.cli._program.console import step
 from geokit.cli._program.lengths import AnyLength, FromUnit, lengths_in, unit_of
 from geokit.cli._results import DEFAULTS, Changed, Common, Source, deliver_mesh
 
-__all__ = ["repair"]
-
 
 def repair(
     source: Source,

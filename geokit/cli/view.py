@@ -11,8 +11,6 @@ from geokit.cli._kinds import Columns, FiniteOnly, Flag, UpAxis, kind_of_input, 
 from geokit.cli._program.console import announce_compiling, note, say, step
 from geokit.core.files import require_extension
 
-__all__ = ["view"]
-
 
 def view(
     *sources: Annotated[Path, Parameter(name="FILE")],

@@ -18,8 +18,6 @@ from geokit.errors import GeokitError, InputError
 if TYPE_CHECKING:
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["app"]
-
 app = App(name="volume", help="Combine, offset, smooth, resample, differentiate, segment and measure volumes.")
 
 Source = Annotated[Path, Parameter(name="IN", help="The .vdb or .nvdb file to read.")]

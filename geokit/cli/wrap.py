@@ -9,8 +9,6 @@ from geokit.cli._program.console import announce_compiling, step
 from geokit.cli._program.lengths import AnyLength, FromUnit, lengths_in, unit_of
 from geokit.cli._results import ASKING, Asking, Changed, Source, deliver_mesh
 
-__all__ = ["wrap"]
-
 
 def wrap(
     source: Source,

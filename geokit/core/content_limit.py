@@ -8,8 +8,6 @@ from geokit.core.memory.available_memory import available_host
 from geokit.core.require import require_count
 from geokit.errors import DeviceMemoryError
 
-__all__ = ["LEAST_MEMORY", "content_limit", "default_limit", "require_content", "set_default_limit", "working_memory"]
-
 # Measured data (scans, meshes, fields) compress two- to twentyfold, and constant fields up to about fiftyfold.
 GROWTH = 100
 # Small files may grow more than that: this much does no harm.

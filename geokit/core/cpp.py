@@ -20,8 +20,6 @@ from typing import Any
 
 import warp as wp
 
-__all__ = ["cpp", "func_native", "native_item"]
-
 # Types of C++ whose names warp does not have.
 _TYPES = {
     "int": int,

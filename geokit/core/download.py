@@ -22,8 +22,6 @@ from geokit.core.memory.host_array import row_of
 from geokit.core.memory.memory_pool import MemoryPool
 from geokit.core.running.thread_placement import Calls
 
-__all__ = ["bytes_of", "download", "download_into", "release"]
-
 # Size of each of the two halves of the staging memory: the bus fills one half while threads empty the other. The
 # 32 MiB of pinned memory are kept from the first large download on.
 HALF_BYTES = 1 << 24

@@ -7,8 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["merge_equal_points", "merge_equal_rows", "repeated_triples"]
-
 # Odd 64-bit constants with mixed bits (from the golden ratio and two primes): one for each column of a row's hash.
 _MIX = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64)
 # Odd constants with mixed bits: the factors of _scrambled.

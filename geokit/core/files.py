@@ -16,11 +16,6 @@ from geokit.core.base.private_folder import private_folder
 from geokit.core.require import require_path
 from geokit.errors import FileAccessError, FileFormatError, GeokitError, InputError
 
-__all__ = [
-    "atomic_path", "damaged", "extension", "folder_beside", "in_one_line", "is_there", "named_damage", "refuse_empty",
-    "refuse_pointer", "require_extension", "require_file", "require_room", "size_of", "sync",
-]  # fmt: skip
-
 # Extensions with two dots.
 _DOUBLE = (".nii.gz",)
 _KINDS = {

@@ -29,8 +29,6 @@ from geokit.core.memory.available_memory import available_host
 from geokit.core.memory.needs import is_out_of_memory, require_free
 from geokit.errors import DeviceMemoryError, FileAccessError, InputError
 
-__all__ = ["initialize", "load"]
-
 # What the system says of a folder that cannot be written to.
 UNUSABLE = {errno.EACCES, errno.EDQUOT, errno.EFBIG, errno.ENOSPC, errno.ENOTDIR, errno.EPERM, errno.EROFS}
 # Folders for temporary files besides Python's own.

@@ -23,11 +23,6 @@ from geokit.core.require import described
 from geokit.core.running.thread_placement import Pool
 from geokit.errors import InputError
 
-__all__ = [
-    "ALL_GPUS", "compile_notice", "cuda_devices", "device_or_default", "identity", "is_several", "launch",
-    "launch_queries", "load_module", "morton_order", "on_compile", "pool", "resolve_device", "thread_count",
-]  # fmt: skip
-
 # As a device: all CUDA devices.
 ALL_GPUS = "cuda:*"
 

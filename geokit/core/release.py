@@ -10,8 +10,6 @@ from typing import Any
 from geokit.core import download
 from geokit.core.memory import host_pool, pinned
 
-__all__ = ["release_memory", "trim_heap"]
-
 
 def release_memory() -> int:
     """Give the memory that geokit keeps for later calls back to the system: like ``torch.cuda.empty_cache``.

@@ -21,29 +21,6 @@ from geokit.core.base.late_warp import wp
 from geokit.core.launches import warp_private
 from geokit.errors import InputError
 
-__all__ = [
-    "described",
-    "read_array",
-    "refuse_recording",
-    "require_affine",
-    "require_affine_maps",
-    "require_callable",
-    "require_choice",
-    "require_count",
-    "require_flag",
-    "require_instance",
-    "require_items",
-    "require_mapping",
-    "require_memory",
-    "require_number",
-    "require_one_world",
-    "require_path",
-    "require_table",
-    "require_text",
-    "require_unrecorded",
-    "whole_number",
-]
-
 # Most characters of a value in a message.
 LONGEST = 80
 # pathlib joins the two slashes of a URL to one.

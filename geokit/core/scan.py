@@ -11,8 +11,6 @@ from geokit.core import launcher
 from geokit.core.base.late_warp import wp
 from geokit.core.memory.pinned import host_arrays
 
-__all__ = ["flagged", "gathered", "prefix_sum", "prefix_sum_async", "row_offsets"]
-
 
 def prefix_sum(counts: "wp.array") -> tuple["wp.array", int]:
     """Inclusive prefix sum of int32 counts, and the total."""

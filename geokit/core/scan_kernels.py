@@ -7,8 +7,6 @@ from geokit.core import cpp
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1, "fuse_fp": False})
 
-__all__ = ["begin_of", "flagged_kernel", "last_kernel", "part_of", "widen_kernel"]
-
 
 @cpp.func_native("core/parts.inl")
 def part_of(offsets: wp.array(dtype=int), item: int) -> int:

@@ -11,8 +11,6 @@ from typing import Any
 from geokit._packages import require_package
 from geokit.errors import WorkerError
 
-__all__ = ["LOCAL", "connected"]
-
 # Name of a cluster of this machine.
 LOCAL = "local"
 # How long a scheduler may take to answer, and its first worker to come [s].

@@ -24,8 +24,6 @@ from geokit.volume.model.sparse_volume import SparseVolume
 if TYPE_CHECKING:
     import dask.array as da
 
-__all__ = ["map_queries"]
-
 # What is asked if no query is named.
 USUAL = {Surface: "closest_point", SparseVolume: "sample", NeighborGrid: "count"}
 

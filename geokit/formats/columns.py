@@ -14,8 +14,6 @@ from geokit.core.files import in_one_line
 from geokit.errors import FileFormatError, InputError
 from geokit.formats.text_files.words import as_number
 
-__all__ = ["AXES", "Columns", "by_place", "first_rays", "integer_colors", "joined", "split"]
-
 AXES = ("x", "y", "z")
 # Names of the components of normals in other programs.
 NORMALS = ("nx", "ny", "nz")

@@ -16,8 +16,6 @@ from geokit.errors import FileFormatError
 from geokit.formats.columns import Columns
 from geokit.formats.scene_content.gltf_shapes import turn_of
 
-__all__ = ["prepare", "read_points"]
-
 _CARTESIAN = ("cartesianX", "cartesianY", "cartesianZ")
 _SPHERICAL = ("sphericalRange", "sphericalAzimuth", "sphericalElevation")
 # Not 0 where a pulse has no echo, or only a direction.

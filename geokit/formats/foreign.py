@@ -10,8 +10,6 @@ from geokit.core.require import require_path
 from geokit.errors import FileAccessError, InputError
 from geokit.formats.table import FORMATS, Content, extensions
 
-__all__ = ["FOREIGN", "Foreign", "refuse_foreign", "require_format"]
-
 
 class Foreign(NamedTuple):
     """A row of the table.

@@ -14,8 +14,6 @@ from geokit.mesh.attributes.seams import split_seams
 from geokit.mesh.model.data import Data, full_scale, has_meaning
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 
-__all__ = ["what_is_held"]
-
 
 def what_is_held(mesh: TriangleMesh, held: Format, module: Any, kind: str = "") -> tuple[TriangleMesh, list[str]]:
     """The mesh with what a format holds, and the names of what it does not.

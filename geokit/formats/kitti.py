@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from geokit.errors import FileFormatError
 from geokit.formats.columns import Columns
 
-__all__ = ["read_points"]
-
 # Numbers of each point after x, y and z, by the end of the name.
 _KITTI, _NUSCENES = ("reflectance",), ("intensity", "ring")
 # No scanner reaches so far [m], and no echo is so bright.

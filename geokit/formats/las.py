@@ -18,18 +18,6 @@ from geokit.core.files import in_one_line
 from geokit.errors import FileFormatError, GeokitError, InputError, MissingDependencyError
 from geokit.formats.columns import Columns, integer_colors
 
-__all__ = [
-    "CoordinateSystem",
-    "PointWriter",
-    "content_bytes",
-    "coordinate_system",
-    "prepare",
-    "read_blocks",
-    "read_points",
-    "table_shape",
-    "write_points",
-]
-
 # Coordinates are integers of 32 bits times a scale; a few values at the ends are reserved for rounding.
 LARGEST_STEPS = 2**31 - 8
 # Smallest power of ten that float64 distinguishes from zero.

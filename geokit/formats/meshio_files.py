@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from geokit.mesh.model.data import Data
     from geokit.mesh.model.triangle_mesh import TriangleMesh
 
-__all__ = ["holds_type", "named", "prepare", "read_mesh", "write_mesh"]
-
 _SURFACE = {"triangle", "quad", "polygon"}
 # Cells of dimension 0 and 1.
 _LESS = ("points", "lines")

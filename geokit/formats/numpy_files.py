@@ -17,8 +17,6 @@ from geokit.core.files import in_one_line
 from geokit.errors import FileFormatError, InputError
 from geokit.formats.columns import AXES, Columns, by_place, first_rays, joined
 
-__all__ = ["content_bytes", "loaded", "read_points", "read_rays", "write_points"]
-
 # Three rows of as many numbers are the axes of a cloud, not three points.
 MOST_COLUMNS = 100
 

@@ -25,8 +25,6 @@ from geokit.mesh.model.data import full_scale
 if TYPE_CHECKING:
     from geokit.mesh.model.triangle_mesh import TriangleMesh
 
-__all__ = ["companions", "companions_of", "read_mesh", "read_points", "write_mesh"]
-
 # .mtl has no alpha cutoff.
 HOLDS_CUTOFFS = False
 # What faces without a material name in files that name one for others.

@@ -14,8 +14,6 @@ from geokit.formats.file_content.body import Body, FileMaterial
 from geokit.formats.meshio_files import named
 from geokit.formats.vtk import unit_of
 
-__all__ = ["UNITS", "carried_by"]
-
 # Meters in the units that trimesh names, each by the names that files have; the first is written.
 UNITS = {
     1.0: ("m", "meter", "meters"),

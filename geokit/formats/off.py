@@ -19,8 +19,6 @@ from geokit.mesh.model.data import full_scale
 if TYPE_CHECKING:
     from geokit.mesh.model.triangle_mesh import TriangleMesh
 
-__all__ = ["read_mesh", "write_mesh"]
-
 # Texture coordinates, colors and normals in Geomview's order, or in that of MeshLab.
 _HEADER = re.compile(rb"\s*((?:ST)?C?N?|NC?(?:ST)?|CST)OFF(?![A-Za-z])(?!\s*BINARY)", re.IGNORECASE)
 # Counts without a word before them, as the first of a file's lines.

@@ -26,8 +26,6 @@ from geokit.formats.columns import Columns, integer_colors, joined
 from geokit.formats.text_files.plain import plain_text, without_mark
 from geokit.formats.text_files.rows import read_rows
 
-__all__ = ["compress", "content_bytes", "decompress", "read_points", "write_points"]
-
 ENCODINGS = ("ascii", "binary", "binary_compressed")
 _KEYS = ("VERSION", "FIELDS", "COLUMNS", "SIZE", "TYPE", "COUNT", "WIDTH", "HEIGHT", "VIEWPOINT", "POINTS", "DATA")
 _TYPES = {"F": ("f4", "f8"), "I": ("i1", "i2", "i4", "i8"), "U": ("u1", "u2", "u4", "u8")}

@@ -28,18 +28,6 @@ from geokit.mesh.model.data import as_bytes, has_meaning
 if TYPE_CHECKING:
     from geokit.mesh.model.triangle_mesh import TriangleMesh
 
-__all__ = [
-    "holds_type",
-    "lacks_faces",
-    "points_body",
-    "points_header",
-    "read_header",
-    "read_mesh",
-    "read_points",
-    "write_mesh",
-    "write_points",
-]
-
 _TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),
     **dict.fromkeys(("uchar", "uint8"), "u1"),

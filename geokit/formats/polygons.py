@@ -17,8 +17,6 @@ from geokit.formats.attributes.joined import JoinedData
 from geokit.formats.file_content.body import Body
 from geokit.mesh.model.triangle_mesh import MeshPart, TriangleMesh
 
-__all__ = ["clip_ears", "join", "triangulate"]
-
 # Polygons of more corners are clipped all around in turn.
 FEW = 64
 # Corners in a leaf of the tree in which blocking corners are looked up, at most.

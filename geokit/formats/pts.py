@@ -14,8 +14,6 @@ from geokit.formats.text_files.decimal import written_lines
 from geokit.formats.text_files.plain import plain_text
 from geokit.formats.text_files.rows import read_rows
 
-__all__ = ["read_points", "write_points"]
-
 # Names of the columns after x, y and z, by the number of columns.
 _LAYOUTS = {3: (), 4: ("intensity",), 6: ("rgb",), 7: ("intensity", "rgb")}
 

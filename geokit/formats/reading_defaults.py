@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["default_step", "default_tolerance", "set_reading_defaults"]
-
 _tolerance: float | None = None
 _step: int | None = None
 

@@ -19,8 +19,6 @@ from geokit.formats.text_files.words import numbers
 if TYPE_CHECKING:
     from geokit.mesh.model.triangle_mesh import TriangleMesh
 
-__all__ = ["HEADER_BYTES", "RECORD", "binary_count", "left_behind", "read_mesh", "write_mesh"]
-
 HEADER_BYTES = 84
 RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _SOLID = re.compile(rb"^[ \t]*(endsolid|solid)\b[ \t]*([^\r\n]*)", re.MULTILINE | re.IGNORECASE)

@@ -40,21 +40,6 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal, NamedTuple, TypeVar
 
-__all__ = [
-    "FORMATS",
-    "SPARSE",
-    "STAGES",
-    "ZARR",
-    "Access",
-    "Content",
-    "Format",
-    "extensions",
-    "image_module",
-    "module_of",
-    "volume_kind",
-    "with_formats",
-]
-
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 Access = Literal["", "r", "w", "rw"]

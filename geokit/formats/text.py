@@ -21,8 +21,6 @@ from geokit.formats.text_files.plain import plain_text
 from geokit.formats.text_files.rows import Cells, decoded, not_numbers, read_cells, separator_of, split_line
 from geokit.formats.text_files.words import as_number
 
-__all__ = ["read_points", "read_rays", "write_points"]
-
 
 def read_points(path: Path, columns: Sequence[str] | None = None) -> tuple[NDArray[np.float64], Columns]:
     """Read the coordinates, which their names tell, or ``columns``, and the other columns by name.

@@ -21,19 +21,6 @@ if TYPE_CHECKING:
     from geokit.formats.scene_content.usd_materials import Bound, Materials
     from geokit.mesh.model.triangle_mesh import TriangleMesh
 
-__all__ = [
-    "companions",
-    "companions_of",
-    "export",
-    "holds_texture",
-    "open_stage",
-    "prepare",
-    "read_mesh",
-    "transform_time",
-    "visible",
-    "write_mesh",
-]
-
 
 def prepare() -> None:
     """Import usd-core and have it look for its plugins and schemas, without starting threads."""

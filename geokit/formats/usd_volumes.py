@@ -13,8 +13,6 @@ from geokit.formats import usd
 from geokit.formats.file_content.references import LONGEST, require_inside
 from geokit.formats.scene_content.usd_shapes import value_of
 
-__all__ = ["NewField", "prepare", "read_grids", "write_stage"]
-
 VOLUME, FIELDS, ASSET = "Volume", "field:", "OpenVDBAsset"
 
 

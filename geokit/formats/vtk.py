@@ -25,20 +25,6 @@ from geokit.mesh.model.data import has_meaning
 if TYPE_CHECKING:
     from geokit.mesh.model.triangle_mesh import TriangleMesh
 
-__all__ = [
-    "holds_name",
-    "lacks_faces",
-    "no_numbers",
-    "poly_data",
-    "prepare",
-    "read_mesh",
-    "read_points",
-    "reported",
-    "unit_of",
-    "write_mesh",
-    "write_points",
-]
-
 # Names of the arrays that say what the numbers mean.
 _METERS, _UP = "meters_per_unit", "up_axis"
 # VTK's cell types. Lines and points are left out if there are faces.

@@ -17,8 +17,6 @@ from geokit.core.interop.types import Array, Device, Rows
 from geokit.core.require import described, read_array
 from geokit.errors import InputError
 
-__all__ = ["Surface", "Volume", "with_values"]
-
 
 class _Faces(NamedTuple):
     faces: NDArray[np.int32]

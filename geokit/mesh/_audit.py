@@ -11,8 +11,6 @@ from geokit.mesh.surfaces.objects import require_mesh
 from geokit.mesh.topology.audit import MeshAudit, audit_topology
 from geokit.mesh.topology.connectivity import mesh_topology
 
-__all__ = ["audit"]
-
 
 @needs(lambda mesh, **_: 118 * mesh.face_count)
 def audit(mesh: MeshLike, *, self_intersections: bool = False) -> MeshAudit:

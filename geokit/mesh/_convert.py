@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from geokit.mesh.model.data import Material
     from geokit.mesh.model.triangle_mesh import TriangleMesh
 
-__all__ = ["to_meshio", "to_open3d", "to_pyvista", "to_trimesh"]
-
 _ARRAYS = Format("", vertex="*", face="*")
 _TRIMESH = _ARRAYS._replace(materials=True)
 _OPEN3D = Format("", vertex="normal rgb", face="normal", corner="uv", materials=True)

@@ -18,8 +18,6 @@ from geokit.mesh.surfaces.objects import require_mesh
 if TYPE_CHECKING:
     from geokit.mesh.solids.pieces import Verb
 
-__all__ = ["difference", "intersection", "union"]
-
 # For each face: its tree, its topology, and manifold3d's solids before and after.
 BYTES_PER_FACE = 920
 

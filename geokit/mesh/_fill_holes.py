@@ -25,8 +25,6 @@ from geokit.mesh.topology.measures import faces_without_area
 from geokit.mesh.topology.normals import face_normals
 from geokit.mesh.topology.rims import Rims, edges_within, find_rims, patches
 
-__all__ = ["FilledHoles", "fill_holes", "rim_points", "unclashing", "with_patches"]
-
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 

@@ -22,8 +22,6 @@ from geokit.mesh.surfaces.objects import require_mesh
 from geokit.mesh.surfaces.surface import BYTES_PER_FACE, Surface
 from geokit.mesh.topology.size_limits import require_measurable
 
-__all__ = ["DirectedDistance", "HausdorffDistance", "hausdorff"]
-
 # This gives a standard error of about 0.3% of the mean where distances vary as much as they are large, and takes a
 # tenth of a second on a CPU.
 SAMPLES = 100_000

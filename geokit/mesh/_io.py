@@ -33,8 +33,6 @@ from geokit.mesh.model.data import checked_data
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.surfaces.objects import require_mesh
 
-__all__ = ["load", "save"]
-
 MOST_STEPS = 1 << 31
 
 # VTK writes these into memory first, and ends the process where it gets none. Its libraries are mapped at first use.

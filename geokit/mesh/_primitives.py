@@ -11,8 +11,6 @@ from geokit.core.require import require_count, require_table
 from geokit.errors import InputError
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 
-__all__ = ["box", "cone", "cylinder", "plane", "sphere", "torus"]
-
 # Most segments: faces grow with their square.
 MOST_SEGMENTS = 1 << 14
 # What arrays of their indices and vertices take while they are made.

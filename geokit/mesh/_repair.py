@@ -20,8 +20,6 @@ from geokit.mesh.surfaces.objects import require_mesh
 from geokit.mesh.topology.connectivity import collapsed_faces, position_corners
 from geokit.mesh.topology.measures import faces_without_area
 
-__all__ = ["OrientedMesh", "drop_degenerate", "merge_vertices", "orient"]
-
 
 class OrientedMesh(NamedTuple):
     """A mesh with consistent winding, and the faces that were flipped for it.

@@ -18,8 +18,6 @@ from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.surfaces.objects import require_mesh
 from geokit.mesh.topology.connectivity import MeshTopology, Topology, mesh_topology
 
-__all__ = ["Repaired", "repair"]
-
 
 class Repaired(NamedTuple):
     """A repaired mesh, and what was done to it.

@@ -19,8 +19,6 @@ from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.queries import poisson_disk
 from geokit.mesh.surfaces.objects import require_mesh
 
-__all__ = ["SurfaceSamples", "sample_surface", "samples_bytes", "scaled_areas", "total_area"]
-
 # Their corners fit into the caches.
 FACES_AT_A_TIME = 1 << 14
 # So many take a hundred kilobytes.

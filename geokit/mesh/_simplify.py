@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from geokit.mesh.simplification.collapse import Past
     from geokit.mesh.surfaces.surface import Surface
 
-__all__ = ["Simplified", "simplify"]
-
 # Mapping into the unit frame and back rounds coordinates a few times.
 FRAME_ROUNDINGS = 4.0 * float(np.finfo(np.float64).eps)
 # Share of the tolerance that edges are collapsed within at first. The collapse looks at points only, so a place between

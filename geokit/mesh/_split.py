@@ -16,8 +16,6 @@ from geokit.mesh.surfaces.objects import require_mesh
 from geokit.mesh.topology.audit import face_parts
 from geokit.mesh.topology.measures import measure_faces
 
-__all__ = ["keep_largest", "split"]
-
 KINDS = ("components", "parts", "materials")
 
 

@@ -24,8 +24,6 @@ from geokit.mesh.simplification.invariants import alike_near
 from geokit.mesh.surfaces.objects import require_mesh
 from geokit.mesh.surfaces.surface import Surface
 
-__all__ = ["transfer_attributes"]
-
 # How far a corner is moved towards the middle of its face, as a share of the way, so that the closest point lies on its
 # own side of a crease or a seam.
 INWARDS = 0.01

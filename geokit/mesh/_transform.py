@@ -17,8 +17,6 @@ from geokit.mesh.attributes.derived import derived, turned_normals, with_data
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.surfaces.objects import require_mesh
 
-__all__ = ["convert_unit", "meters_in", "transform"]
-
 # Matrices from angles in degrees keep an axis to rounding only.
 UP_TOLERANCE = 1e-6
 

@@ -23,8 +23,6 @@ from geokit.mesh.topology.measures import faces_without_area
 from geokit.mesh.topology.normals import face_normals
 from geokit.mesh.topology.rims import edges_within, find_rims
 
-__all__ = ["Untangled", "remove_self_intersections"]
-
 # Width of the bounds of the deviation, as a share of the mesh's diagonal.
 BOUND_SHARE = 1e-5
 

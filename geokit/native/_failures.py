@@ -7,8 +7,6 @@ from typing import Any, NoReturn
 from geokit.core.files import in_one_line
 from geokit.errors import DeviceMemoryError, FileAccessError, FileFormatError, InputError, UnsupportedGridError
 
-__all__ = ["raise_failure"]
-
 
 def raise_failure(error: dict[str, Any], what: str, is_argument: bool = False) -> NoReturn:
     """Raise the exception for an error that the C++ code reports.

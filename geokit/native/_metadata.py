@@ -25,8 +25,6 @@ import numpy as np
 
 from geokit.errors import InputError
 
-__all__ = ["FILE", "POINTS", "RawMetadata", "decode_grids", "decode_header", "encode_all", "split"]
-
 
 class RawMetadata(NamedTuple):
     """A metadata value of a type that OpenVDB does not know, kept byte for byte.

@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 from geokit.formats.reader import process as reader_process
 from geokit.native._failures import raise_failure
 
-__all__ = ["prepare", "read", "read_grids"]
-
 # Address space of Python, the libraries and their threads.
 RESERVED_BYTES = 1 << 30
 # NanoVDB's boundary.

@@ -24,8 +24,6 @@ from geokit.formats.reader.process import FROM_OUTSIDE, killed
 from geokit.formats.reader.server import status_name
 from geokit.native._metadata import raw
 
-__all__ = ["map_file", "refuse_small_files", "run_worker", "spool_folders", "warn_of_version"]
-
 # A compressed .vdb becomes a NanoVDB buffer several times its size. If shared memory has less than this times the file
 # size free, the buffers go through a folder on disk from the start.
 _EXPANSION = 8

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from geokit.native._openvdb import _aligned, _call, _extension
 
-__all__ = ["csg", "measure", "smooth", "smooth_csg"]
-
 Buffer = NDArray[np.uint8]
 _Result = TypeVar("_Result")
 

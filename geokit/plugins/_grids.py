@@ -14,8 +14,6 @@ from geokit.errors import DeviceMemoryError
 if TYPE_CHECKING:
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["MOST_BYTES", "dense_of", "require_fits"]
-
 # Largest array that a grid becomes unless asked [bytes]: sparse volumes may span any box.
 MOST_BYTES = 4 << 30
 

@@ -9,8 +9,6 @@ from typing import Any
 from geokit.core.require import require_choice
 from geokit.errors import MissingDependencyError
 
-__all__ = ["register"]
-
 
 def register(*libraries: str) -> dict[str, tuple[str, ...]]:
     """Make other libraries read and write volumes through geokit, for the rest of this process.

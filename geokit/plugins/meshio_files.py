@@ -17,8 +17,6 @@ from geokit.core.require import require_choice
 from geokit.errors import DeviceMemoryError
 from geokit.plugins._grids import MOST_BYTES, dense_of
 
-__all__ = ["FORMATS", "read", "write"]
-
 # meshio's name of each format, and its extensions.
 FORMATS = {"vdb": [".vdb"], "nvdb": [".nvdb"]}
 # Of a hexahedron: its corners as indices, twice while they are made, and as points.

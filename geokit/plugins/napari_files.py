@@ -13,8 +13,6 @@ from geokit.core.files import extension
 from geokit.formats.table import SPARSE, extensions
 from geokit.plugins._grids import MOST_BYTES, dense_of
 
-__all__ = ["mesh_reader", "read_meshes", "read_volumes", "volume_reader"]
-
 Paths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 Layer = tuple[Any, dict[str, Any], str]
 Reader = Callable[[Paths], list[Layer]]

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from geokit.mesh.surfaces.surface import Surface
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["ACCESSORS", "ImageAccessor", "SurfaceAccessor", "attach"]
-
 # A vertex lies in a box if it is no farther outside than this [voxel].
 ROUNDING = 1e-6
 

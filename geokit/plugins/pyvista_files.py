@@ -9,8 +9,6 @@ from geokit.core.require import require_choice, require_count
 from geokit.errors import InputError
 from geokit.plugins._grids import MOST_BYTES, require_fits
 
-__all__ = ["read", "write"]
-
 
 def read(
     path: str | os.PathLike[str], *, grid: str | None = None, kind: str = "auto", most_bytes: int = MOST_BYTES

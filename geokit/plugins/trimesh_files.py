@@ -13,8 +13,6 @@ from geokit.core.require import require_number
 from geokit.errors import InputError
 from geokit.plugins._grids import MOST_BYTES, dense_of
 
-__all__ = ["MESH_TYPES", "VOXEL_TYPES", "load_mesh", "load_voxels"]
-
 # trimesh looks for a type among its loaders of meshes first, so that voxels have a type of their own.
 MESH_TYPES = ("vdb", "nvdb")
 VOXEL_TYPES = ("vdb_voxels", "nvdb_voxels")

@@ -16,8 +16,6 @@ from geokit.errors import GeokitError
 from geokit.formats.table import SPARSE
 from geokit.plugins._grids import MOST_BYTES, require_fits
 
-__all__ = ["VolumeBackend"]
-
 AXES = ("x", "y", "z")
 # Of vectors, by how many numbers they have; a data set has one size for each dimension.
 COMPONENTS = {3: "component", 4: "component4"}

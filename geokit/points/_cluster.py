@@ -10,8 +10,6 @@ from geokit.core.memory.needs import needs, rows
 from geokit.core.require import require_count
 from geokit.points.neighbors.neighbor_grid import NeighborGrid
 
-__all__ = ["cluster"]
-
 # Larger than every index.
 NO_INDEX = 2**31 - 1
 

@@ -19,9 +19,8 @@ from geokit.core.query.ask import query
 from geokit.core.require import described
 from geokit.errors import InputError
 from geokit.points.search.groups import read_offsets
-from geokit.points.search.nearest import build_tree, nearest
-
-__all__ = ["ChamferDistance", "DirectedDistance", "HausdorffDistance", "chamfer", "hausdorff"]
+from geokit.points.search.nearest import nearest
+from geokit.points.search.nearest_tree import build_tree
 
 
 class DirectedDistance(NamedTuple):

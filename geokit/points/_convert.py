@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     import pyvista
     import trimesh
 
-__all__ = ["to_open3d", "to_pyvista", "to_trimesh"]
-
 # Largest value of a color channel by the type of its array; floats are taken as shares.
 _WHITE = {"u1": 255.0, "u2": 65535.0}
 

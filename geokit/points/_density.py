@@ -17,8 +17,6 @@ from geokit.core.require import require_choice
 from geokit.errors import InputError
 from geokit.points.neighbors.neighbor_grid import NeighborGrid
 
-__all__ = ["density"]
-
 # Factor that makes the integral over space 1 at radius 1, and the name of the kernel's struct.
 KERNELS = {
     "count": (3.0 / (4.0 * math.pi), "Count"),

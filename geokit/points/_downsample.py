@@ -13,8 +13,6 @@ from geokit.core.memory.needs import needs, rows
 from geokit.core.require import require_count
 from geokit.errors import InputError
 
-__all__ = ["Cover", "Downsampled", "cover", "downsample"]
-
 
 class Downsampled(NamedTuple):
     """A cloud of fewer points.
@@ -169,7 +167,8 @@ def cover(points: Rows, *, tolerance: float, seed: int = 0, device: Device = Non
     if len(batch) == 0:
         raise InputError("points: a cloud without points has nothing to cover; give at least one")
     from geokit.points.clouds.spread_subsets import poisson_disk_subset
-    from geokit.points.search.nearest import build_tree, nearest
+    from geokit.points.search.nearest import nearest
+    from geokit.points.search.nearest_tree import build_tree
 
     kept, indices = poisson_disk_subset(batch.array, distance, seed)
     apart = nearest(build_tree(kept), 1, batch.array)[0].numpy().reshape(-1)

@@ -33,9 +33,6 @@ from geokit.formats.foreign import require_format
 from geokit.formats.las import CoordinateSystem
 from geokit.formats.table import FORMATS, module_of, with_formats
 
-__all__ = ["PointCloud", "Rays", "load", "load_rays", "save"]
-
-
 # Copies of a .vdb's content: OpenVDB's tree, columns, the cloud; bytes of a point while it is sorted into a tree; and
 # those that OpenVDB and its compression take for any file, without which they end the process.
 TREE_COPIES, TREE_ROW, TREE_BYTES = 6, 200, 16 << 20

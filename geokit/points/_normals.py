@@ -19,8 +19,6 @@ from geokit.points.neighbors.neighbor_grid import NeighborGrid
 from geokit.points.search.nearest import MAX_K, nearest
 from geokit.points.search.nearest_tree import build_tree
 
-__all__ = ["PointNormals", "normals", "planes", "turn_towards"]
-
 ORIENTATIONS = ("propagation", "viewpoint", "none")
 # Fewer points do not define a plane.
 MIN_K = 3

@@ -15,8 +15,6 @@ from geokit.points.neighbors.neighbor_grid import NeighborGrid
 from geokit.points.search.nearest import MAX_K, nearest
 from geokit.points.search.nearest_tree import build_tree
 
-__all__ = ["outliers"]
-
 METHODS = ("statistical", "radius")
 
 

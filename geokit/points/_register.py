@@ -23,13 +23,12 @@ from geokit.errors import InputError
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.surfaces.surface import BYTES_PER_FACE
 from geokit.points.clouds.rigid_fit import Step, orthonormal, plane_rank, plane_step, point_step
-from geokit.points.search.nearest import build_tree, nearest
+from geokit.points.search.nearest import nearest
+from geokit.points.search.nearest_tree import build_tree
 from geokit.volume.model.sparse_volume import SparseVolume
 
 if TYPE_CHECKING:
     from geokit.mesh.surfaces.surface import Surface
-
-__all__ = ["Registration", "register"]
 
 METHODS = ("point_to_plane", "point_to_point")
 # Least number of pairs that determine a motion: a distance from a plane gives one of six equations, and three points

@@ -16,8 +16,6 @@ from geokit.mesh.surfaces.objects import require_mesh
 from geokit.mesh.topology.normals import face_normals
 from geokit.points._io import PointCloud
 
-__all__ = ["sample"]
-
 
 def _bytes(mesh: TriangleMesh, count: int | None = None, **options: Any) -> float:
     return samples_bytes(mesh, count, **options) + (interpolation_bytes(mesh) + 40) * (count or 0)

@@ -18,8 +18,6 @@ from typing import Any
 from geokit._packages import require_package
 from geokit.errors import MissingDependencyError
 
-__all__ = ["BACKENDS", "gl_backend", "pyvista"]
-
 EGL = "vtkEGLRenderWindow"
 OSMESA = "vtkOSOpenGLRenderWindow"
 BACKENDS = {"EGL": EGL, "OSMesa": OSMESA}

@@ -13,8 +13,6 @@ from geokit.errors import InputError
 if TYPE_CHECKING:
     from geokit.mesh.model.triangle_mesh import TriangleMesh
 
-__all__ = ["UP", "VIEW_ANGLE", "Camera", "View", "camera_of", "up_of", "up_of_points", "view_of"]
-
 # From the front to the camera, to the right and upwards [degrees].
 AZIMUTH, ELEVATION = 28.8, 17.0
 VIEW_ANGLE = 28.0

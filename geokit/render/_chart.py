@@ -16,8 +16,6 @@ from geokit.errors import InputError
 from geokit.render._image import new_axes, save_figure
 from geokit.render.looks.checks import FLAT, chart_bytes, checked_label, checked_size, checked_target
 
-__all__ = ["Series", "chart"]
-
 # Series differ in color and in marker. The colors are Okabe and Ito's set, which color-blind readers can distinguish.
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")

@@ -12,8 +12,6 @@ from geokit.errors import InputError
 if TYPE_CHECKING:
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["DenseField", "dense_field"]
-
 
 class DenseField(NamedTuple):
     """Samples on a regular box in world axes.

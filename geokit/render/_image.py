@@ -27,8 +27,6 @@ from geokit.render.looks.checks import (
     value_range,
 )
 
-__all__ = ["DPI", "image", "new_axes", "new_figure", "save_figure"]
-
 # Text at 10 points reads well at 100 pixels an inch.
 DPI = 100
 

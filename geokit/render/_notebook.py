@@ -8,8 +8,6 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-__all__ = ["notebook_html"]
-
 # Pixels: a picture of some 20 kB, drawn in a fraction of a second.
 SIZE = (320, 240)
 # Faces, points and active voxels beyond which drawing would hold up the notebook.

@@ -39,8 +39,6 @@ if TYPE_CHECKING:
     from geokit.mesh.model.triangle_mesh import TriangleMesh
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["figure"]
-
 # Layers that can be seen through each other; those behind are left out.
 MOST_LAYERS = 12
 

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from geokit.render._camera import UP
 
-__all__ = ["add_shadow", "hidden_sky"]
-
 # Pixels of the maps of heights, and of the shadow, on each side.
 RESOLUTION = 256
 # Horizontal slices of the scene, from this share of its height to the top.

@@ -31,8 +31,6 @@ from geokit.volume.tree.leaves import require_volume
 if TYPE_CHECKING:
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["slice_figure"]
-
 AXES = "xyz"
 # Default number of contour lines; more of them hide the colors.
 CONTOUR_COUNT = 9

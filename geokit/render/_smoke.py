@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from geokit.render._camera import Camera
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["draw_smoke"]
-
 BACKGROUND = (0.07, 0.08, 0.1)
 # Where the light is, seen from the camera: left, above, and on the camera's side of the scene.
 LIGHT = (-0.6, 0.7, 0.4)

@@ -25,8 +25,6 @@ from geokit.render.looks.checks import SEQUENTIAL, checked_colormap, checked_lab
 if TYPE_CHECKING:
     from geokit.render.viewer.arrays import Arrays
 
-__all__ = ["Page", "open_in_browser", "show", "temporary_path", "view"]
-
 # 256^3: 32 MiB in the browser, and a texture that phones take.
 MAX_VOXELS = 1 << 24
 # Below, nothing can be recognized.

@@ -15,8 +15,6 @@ from geokit.core.require import require_callable, require_count, require_instanc
 from geokit.core.running.thread_placement import Pool
 from geokit.errors import InputError
 
-__all__ = ["Team"]
-
 # Size of the barrier's memory in int32: counter and round, each in a cache line that nothing else shares.
 MEETING_SIZE = 64
 # Default items of a block: two cache lines of floats.

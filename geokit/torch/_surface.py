@@ -14,8 +14,6 @@ from geokit.core.interop.types import Device, Rows
 from geokit.core.require import require_instance, require_memory
 from geokit.errors import InputError
 
-__all__ = ["Surface", "sample_surface"]
-
 
 @shows_arguments
 class Surface(mesh.Surface):

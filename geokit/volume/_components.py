@@ -21,8 +21,6 @@ from geokit.volume.tree.estimates import leaf_count
 from geokit.volume.tree.leaves import dequantized, require_volume
 from geokit.volume.tree.typed_tree import VALUE_TYPES, tree_of
 
-__all__ = ["ConnectedComponents", "connected_components", "segment"]
-
 
 class ConnectedComponents(NamedTuple):
     """The connected components of a volume.

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["axes_of", "to_pyvista", "to_xarray"]
-
 # Axes are at right angles where the cosine between them is at most this.
 LARGEST_COSINE = 1e-9
 

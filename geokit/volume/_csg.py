@@ -26,8 +26,6 @@ from geokit.volume.tree.openvdb_call import call_openvdb
 from geokit.volume.tree.typed_tree import RowTable, tree_of, tree_of_leaves, voxelized_tree
 from geokit.volume.tree.typed_writer import rebuilt
 
-__all__ = ["difference", "intersection", "union"]
-
 # Largest width of a smooth blend [voxels]: the bands must be as wide, and memory grows with them.
 WIDEST_BLEND = 256.0
 # Voxels between the reach of the blend and the end of the bands from which it is computed.

@@ -16,8 +16,6 @@ from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.sampling.space import query_inputs, require_space
 from geokit.volume.tree.leaves import require_volume
 
-__all__ = ["Curvatures", "curvature", "hessian"]
-
 
 class Curvatures(NamedTuple):
     """Curvatures of level sets.

@@ -34,8 +34,6 @@ from geokit.volume.tree.grid_head import GridHead, checked_head
 from geokit.volume.tree.leaves import require_volume
 from geokit.volume.tree.typed_writer import build_grid
 
-__all__ = ["DenseGrid", "from_dense", "to_dense"]
-
 # Fewest rows of voxels that are worth a slice of a launch.
 ROW_GRAIN = 16
 INT32 = np.iinfo(np.int32)

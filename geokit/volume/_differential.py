@@ -15,8 +15,6 @@ from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.tree.estimates import leaf_count
 from geokit.volume.tree.leaves import LEAF_VOXELS, assemble, leaves_of, require_volume, voxelized
 
-__all__ = ["curl", "divergence", "gradient_field", "laplacian"]
-
 SCALARS, VECTORS = ("float", "double"), ("vec3f", "vec3d")
 # Leaves whose results are held in float64 at a time: 8 million voxels, 200 MB of vectors.
 LEAVES_AT_A_TIME = 16384

@@ -12,8 +12,6 @@ from geokit.volume.tree.estimates import leaf_count
 from geokit.volume.tree.leaves import require_volume
 from geokit.volume.tree.openvdb_call import call_openvdb
 
-__all__ = ["smooth"]
-
 LEVEL_SET_METHODS = ("gaussian", "mean", "median", "mean_curvature", "laplacian")
 FIELD_METHODS = ("gaussian", "mean", "median")
 # OpenVDB copies each leaf with this many voxels around it.

@@ -22,8 +22,6 @@ from geokit.volume.nanovdb.provenance import provenance
 from geokit.volume.tree.device_leaves import build_leaves
 from geokit.volume.tree.grid_head import checked_head
 
-__all__ = ["from_function"]
-
 # Largest and smallest block: the largest has the size of an upper node, the smallest that of a leaf.
 LARGEST_BLOCK = 4096
 LEAF = 8

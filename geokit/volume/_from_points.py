@@ -24,8 +24,6 @@ from geokit.volume.nanovdb.provenance import content_hash, provenance
 from geokit.volume.tree.device_leaves import build_leaves
 from geokit.volume.tree.grid_head import checked_head
 
-__all__ = ["from_points"]
-
 LEAF = 8
 # Tiles computed together: their distances take 32 MiB.
 TILES_AT_A_TIME = 8192

@@ -20,8 +20,6 @@ from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.rays.ray_field import ray_field
 from geokit.volume.tree.leaves import require_volume
 
-__all__ = ["Transmittance", "integrate"]
-
 
 class Transmittance(NamedTuple):
     """Result of :func:`integrate`.

@@ -38,8 +38,6 @@ from geokit.volume.nanovdb.types import INDEX_TYPES
 from geokit.volume.retyped.from_channel import from_channel
 from geokit.volume.tree.typed_writer import WIDENED, widened
 
-__all__ = ["inspect", "load", "load_all", "save"]
-
 # NanoVDB readers are often built without zlib and Blosc. All of them read uncompressed files, which are also the
 # fastest.
 DEFAULT_NVDB_CODEC = "none"

@@ -19,8 +19,6 @@ from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.tree.estimates import leaf_count
 from geokit.volume.tree.leaves import require_volume
 
-__all__ = ["closing", "dilate", "erode", "offset", "opening", "renormalize"]
-
 # Largest offset [voxels]: the band must reach that far during the computation, and memory grows with it.
 FARTHEST_OFFSET = 256.0
 # Voxels by which a band reaches beyond the new surface, outwards and inwards.

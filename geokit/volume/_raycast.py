@@ -20,8 +20,6 @@ from geokit.volume.rays.crossing_blocks import crossing_blocks
 from geokit.volume.rays.ray_field import ray_field
 from geokit.volume.tree.leaves import require_volume
 
-__all__ = ["VolumeHits", "raycast"]
-
 # Fewest packets of rays that are worth a thread of their own.
 GRAIN = 32
 

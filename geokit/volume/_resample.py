@@ -39,8 +39,6 @@ from geokit.volume.tree.leaves import (
 from geokit.volume.tree.typed_tree import VALUE_TYPES, tree_of, tree_of_leaves, voxelized_tree
 from geokit.volume.tree.typed_writer import rebuilt
 
-__all__ = ["resample"]
-
 TYPES = ("float", "double", "vec3f", "vec3d")
 # Memory of a target leaf during construction: values and masks, their copy in node order, and that in the buffer.
 BYTES_PER_LEAF = 3 * 2144

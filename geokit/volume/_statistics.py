@@ -19,8 +19,6 @@ from geokit.volume.tree.leaves import dequantized, is_cubic, require_volume
 from geokit.volume.tree.openvdb_call import scale_factor, scaled_up
 from geokit.volume.tree.typed_tree import VALUE_TYPES, TypedTree, tree_of
 
-__all__ = ["Statistics", "statistics"]
-
 # Colors are left out: their length means nothing.
 TYPES = tuple(name for name in VALUE_TYPES if BY_NAME[name].family != "color")
 # Leaves converted to float64 at a time: 8 million values.

@@ -18,8 +18,6 @@ from geokit.volume.tree.leaves import dequantized, require_volume
 from geokit.volume.tree.prune import pruned
 from geokit.volume.tree.typed_tree import VALUE_TYPES
 
-__all__ = ["clip", "prune", "require_box"]
-
 
 @needs(lambda volume, *_, **__: 200 * leaf_count(volume))
 def prune(volume: SparseVolume, tolerance: float = 0.0) -> SparseVolume:

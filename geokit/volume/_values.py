@@ -24,8 +24,6 @@ from geokit.volume.nanovdb.layout import LAYOUTS
 from geokit.volume.nanovdb.nodes import grid_nodes, set_bits, slot_places
 from geokit.volume.tree.leaves import leaves_of, require_volume, value_places
 
-__all__ = ["ActiveVoxels", "active_voxels", "with_values"]
-
 TYPES = ("float", "double")
 
 

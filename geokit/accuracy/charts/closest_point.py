@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from geokit.accuracy.charts.mesh_setup import MeshSetup
     from geokit.mesh.surfaces.surface import Surface
 
-__all__ = ["DAMAGES", "closest_point_charts", "damaged", "sign_charts", "warp_tree_bytes"]
-
 # Search radii [diagonals].
 RADII = (0.1, 0.01)
 # Distances closer to the search radius than this [diagonals] may count as within or beyond it.

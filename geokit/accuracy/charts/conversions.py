@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from geokit.mesh.model.triangle_mesh import TriangleMesh
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["from_mesh_chart", "from_volume_chart", "isosurface_chart"]
-
 HALF_WIDTHS = {True: (1.5, HALF_WIDTH), False: (1.5, HALF_WIDTH, 6.0)}
 # OpenVDB's method takes ten times as long, in proportion to the triangles. It is measured only at the default half
 # width, and in a quick chart once, for meshes of up to so many triangles.

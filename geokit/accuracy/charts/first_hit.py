@@ -19,8 +19,6 @@ from geokit.errors import GeokitError
 if TYPE_CHECKING:
     from geokit.accuracy.charts.mesh_setup import MeshSetup
 
-__all__ = ["first_hit_charts"]
-
 Floats = NDArray[np.float64]
 
 # Rays start on a sphere of this radius around the center of the bounding box [diagonals].

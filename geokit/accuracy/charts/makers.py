@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from geokit.accuracy.trials.model import Chart, Subject
     from geokit.mesh.model.triangle_mesh import TriangleMesh
 
-__all__ = ["mesh_charts", "mesh_volume_charts", "points_charts", "volume_charts"]
-
 # Fewer points define neither a plane nor a meaningful spacing.
 FEWEST = 8
 

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from geokit.mesh.surfaces.surface import Surface
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["HALF_WIDTH", "MeshSetup", "Queries", "area_samples"]
-
 Floats = NDArray[np.float64]
 
 # Seed of every random choice: two runs use the same queries.

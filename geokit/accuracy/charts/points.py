@@ -14,8 +14,6 @@ from geokit.accuracy.trials.model import Chart, Judgement, Trial
 from geokit.accuracy.trials.running import angles, held_bytes, judged, on_host, send, setting_of
 from geokit.core.base.late_warp import wp
 
-__all__ = ["PointsSetup", "downsample_chart", "nearest_chart", "neighbors_chart", "point_normals_charts", "torus_cloud"]
-
 Floats = NDArray[np.float64]
 
 # Seed of every random choice: two runs use the same queries.

@@ -11,8 +11,6 @@ if TYPE_CHECKING:
     from geokit.mesh.surfaces.surface import Surface
     from geokit.points.neighbors.neighbor_grid import NeighborGrid
 
-__all__ = ["RawClosest", "RawHits", "raw_closest_point", "raw_radius_count", "raw_raycast"]
-
 
 class RawClosest(NamedTuple):
     """points (N, 3) [world], distance (N,) [world], triangle_id (N,); -1 and inf for a miss."""

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from geokit.mesh.model.triangle_mesh import TriangleMesh
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["gradients_chart", "normals_chart", "sampling_chart", "sdf_gradients_chart", "sdf_sampling_chart"]
-
 ORDERS = (0, 1, 2, 3)
 
 # Largest distance along an axis between a point and the voxels of its cubic stencil [voxels].

@@ -16,8 +16,6 @@ from geokit.accuracy.trials.running import failed, judged, on_host, send, settin
 if TYPE_CHECKING:
     from geokit.accuracy.charts.volume_setup import VolumePoints
 
-__all__ = ["volume_raycast_chart"]
-
 # Farther than this many voxels beyond the leaves, a trilinear interpolant is the background.
 MARGIN = 2.0
 # The march misses a level that is touched, or crossed twice within a sixteenth of a cell. A hit before the first level

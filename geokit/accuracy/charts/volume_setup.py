@@ -20,18 +20,6 @@ if TYPE_CHECKING:
     from geokit.mesh.model.triangle_mesh import TriangleMesh
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = [
-    "CODECS",
-    "QUICK_CODECS",
-    "Effort",
-    "Known",
-    "NearSurface",
-    "VolumePoints",
-    "coded",
-    "known_codecs",
-    "surface_samples",
-]
-
 Floats = NDArray[np.float64]
 
 # Codecs that geokit can make. "half" comes from a .vdb file, measured as read back: NanoVDB only has a name for it.

@@ -8,8 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["PlaneReference", "k_nearest", "neighbors_within", "plane_normals"]
-
 Floats = NDArray[np.float64]
 
 

@@ -18,19 +18,6 @@ from geokit.errors import UnsupportedGridError
 if TYPE_CHECKING:
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = [
-    "LevelHit",
-    "Voxels",
-    "axis_weights",
-    "borders_along",
-    "first_level",
-    "interpolant",
-    "interpolant_along",
-    "interpolant_gradient",
-    "nearest_to_level",
-    "tensor_interpolant",
-]
-
 Floats = NDArray[np.float64]
 Reader = Callable[[NDArray[np.int64]], NDArray[Any]]
 

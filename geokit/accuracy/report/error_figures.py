@@ -16,8 +16,6 @@ from geokit.accuracy.report.pareto import cost_of, front_of, knee
 from geokit.accuracy.trials.model import Measurement, Subject
 from geokit.accuracy.trials.results import Group
 
-__all__ = ["chosen_row", "error_picture"]
-
 # Small enough for a page with dozens of figures to load quickly.
 SIZE = (460, 340)
 # Most points; more would hide each other.

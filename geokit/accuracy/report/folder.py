@@ -21,8 +21,6 @@ from geokit.core.require import require_choice, require_flag, require_items, req
 from geokit.errors import FileAccessError, GeokitError, InputError
 from geokit.render.looks.checks import FLAT
 
-__all__ = ["check_folder", "write_report"]
-
 TABLE, PAGE, FIGURES = "results.csv", "report.html", "figures"
 FORMATS = tuple(kind[1:] for kind in FLAT)
 

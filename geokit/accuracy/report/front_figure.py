@@ -12,8 +12,6 @@ from geokit.accuracy.trials.results import Group
 from geokit.render._chart import COLORS, MARKERS
 from geokit.render._image import new_figure, save_figure
 
-__all__ = ["front_figure"]
-
 # Width and least height [pixels].
 SIZE = (1060, 560)
 # Line styles of the fronts of the first, second, ... device.

@@ -27,8 +27,6 @@ from geokit.accuracy.trials.model import Measurement
 from geokit.accuracy.trials.results import Failure, Group
 from geokit.render._chart import COLORS
 
-__all__ = ["Picture", "failure_text", "page", "svg"]
-
 _ROW_COLUMNS = (
     *("", "method", "setting", "device", "a call", "each", "rate [1/s]", "spread"),
     *("max error", "99.9%", "rms", "wrong", "checked", "prepared", "peak of a call"),

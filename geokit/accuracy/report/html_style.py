@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["SCRIPT", "STYLE"]
-
 STYLE = """
 :root { color-scheme: light dark; --page: #fff; --ink: #1b1b1b; --quiet: #555; --line: #e0e0e0; --strong: #888;
   --link: #005a94; --failed: #8a2b00; --shade: rgba(0, 0, 0, .22); }

@@ -13,8 +13,6 @@ from geokit.core.interop.user_arrays import require_finite_scalar
 from geokit.core.require import read_array
 from geokit.errors import InputError
 
-__all__ = ["cost_of", "front", "front_of", "knee", "same_question", "tolerance_steps"]
-
 # Decades below the smallest error at which exact answers are placed for distances on a logarithmic axis.
 EXACT_DECADES = 1.0
 # The largest error of the checked answers is only this precise as an estimate for all: that of another sample differs

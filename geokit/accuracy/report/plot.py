@@ -10,8 +10,6 @@ from geokit.accuracy.report.text import bytes_text, error_text, rate_text, secon
 from geokit.accuracy.trials.model import Measurement
 from geokit.accuracy.trials.results import Group
 
-__all__ = ["Mark", "Plot", "decade_ticks", "named_ticks", "plot_of", "tip_of"]
-
 # Decades of space beyond the outermost marks.
 MARGIN = 0.18
 # Decades between the smallest error and the line of exact answers, and between the largest error and that of infinite

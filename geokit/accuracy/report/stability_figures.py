@@ -15,8 +15,6 @@ from geokit.accuracy.report.text import plain_text, power_text
 from geokit.accuracy.trials.model import Sweep
 from geokit.core.files import atomic_path
 
-__all__ = ["NO_UNIT", "sweep_figure"]
-
 SIZE = (520, 400)
 # Unit of sweeps whose answers are only right or wrong.
 NO_UNIT = "none"

@@ -15,8 +15,6 @@ from geokit.core.files import atomic_path, require_file
 from geokit.core.require import require_items, require_path
 from geokit.errors import FileFormatError
 
-__all__ = ["COLUMNS", "cells_of", "read_table", "write_rows", "write_table"]
-
 # The attributes of Measurement in order; they are documented there.
 COLUMNS = tuple(field.name for field in dataclasses.fields(Measurement) if field.name != "judgement")
 _INTEGERS = ("peak_bytes", "byte_count", "checked")

@@ -4,17 +4,6 @@ from __future__ import annotations
 
 import math
 
-__all__ = [
-    "bytes_text",
-    "error_text",
-    "plain_text",
-    "power_text",
-    "rate_text",
-    "seconds_text",
-    "share_text",
-    "tick_text",
-]
-
 _TIMES = ((1.0, "s"), (1e-3, "ms"), (1e-6, "µs"), (1e-9, "ns"))
 _RATES = ((1e9, " G"), (1e6, " M"), (1e3, " k"))
 

@@ -15,8 +15,6 @@ from geokit.accuracy.trials.running import unit
 if TYPE_CHECKING:
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["ball", "field", "joined", "level_set", "unit_vectors", "voxel_centers"]
-
 Floats = NDArray[np.float64]
 Field = Callable[[Floats], Floats]
 

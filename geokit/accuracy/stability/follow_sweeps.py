@@ -31,8 +31,6 @@ from geokit.core.require import (
 )
 from geokit.errors import FileAccessError, GeokitError, InputError
 
-__all__ = ["Outcome", "follow", "inside", "keeps", "promised", "sweeps", "sweeps_of", "write_stability"]
-
 INTRODUCTION = """\
 Each sweep varies one parameter towards failure and compares the answers with an independent float64 reference that
 shares no code with the method. The promise holds up to the last value of the envelope, which

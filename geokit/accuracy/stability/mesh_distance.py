@@ -30,8 +30,6 @@ from geokit.accuracy.stability.shapes import (
 from geokit.accuracy.trials.model import Judgement, Sweeps
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 
-__all__ = ["SWEEPS"]
-
 SWEEPS = Sweeps()
 of_closest = partial(SWEEPS.add, "mesh.Surface.closest_point", "sizes of the mesh")
 

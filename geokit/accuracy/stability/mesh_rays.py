@@ -28,8 +28,6 @@ from geokit.accuracy.stability.shapes import (
 from geokit.accuracy.trials.model import Judgement, Sweeps
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 
-__all__ = ["SWEEPS"]
-
 SWEEPS = Sweeps()
 of_hits = partial(SWEEPS.add, "mesh.Surface.raycast", "sizes of the mesh")
 of_shares = partial(SWEEPS.add, "mesh.Surface.raycast", "lengths of the ray")

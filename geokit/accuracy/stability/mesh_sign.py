@@ -27,8 +27,6 @@ from geokit.accuracy.stability.shapes import (
 from geokit.accuracy.trials.model import Judgement, Sweeps, cases_of
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 
-__all__ = ["SWEEPS"]
-
 SWEEPS = Sweeps()
 
 POINTS = 2000

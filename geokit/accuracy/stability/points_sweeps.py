@@ -13,8 +13,6 @@ from geokit.accuracy.stability.fields import unit_vectors
 from geokit.accuracy.stability.shapes import judged
 from geokit.accuracy.trials.model import Judgement, Sweeps, cases_of
 
-__all__ = ["SWEEPS"]
-
 SWEEPS = Sweeps()
 Floats = NDArray[np.float64]
 

@@ -15,33 +15,6 @@ from geokit.mesh.model.triangle_mesh import TriangleMesh
 if TYPE_CHECKING:
     from geokit.mesh.surfaces.surface import Surface
 
-__all__ = [
-    "OBLIQUE",
-    "around_and_near",
-    "box",
-    "copied_faces",
-    "flipped_faces",
-    "icosphere",
-    "join",
-    "judged",
-    "moved",
-    "on_gpu",
-    "powers",
-    "rotated",
-    "rotation",
-    "scaled",
-    "size_sweeps",
-    "sliver_fan",
-    "sphere_distance",
-    "surface_of",
-    "thin_plate",
-    "torus",
-    "turned",
-    "unit_sized",
-    "without_cap",
-    "without_faces",
-]
-
 # Direction in which meshes are moved: along no axis and no diagonal, of length 1 up to rounding.
 OBLIQUE = np.array([2.0, -1.0, 2.0]) / 3.0
 

@@ -14,8 +14,6 @@ from geokit.accuracy.trials.model import Judgement, Sweeps
 if TYPE_CHECKING:
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["SWEEPS", "WITH_OPENVDB"]
-
 # What is asked of every build of geokit, and what needs OpenVDB.
 SWEEPS, WITH_OPENVDB = Sweeps(), Sweeps()
 of_renormalize = partial(SWEEPS.add, "volume.renormalize", "voxels")

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from geokit.mesh.model.triangle_mesh import TriangleMesh
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["SWEEPS"]
-
 SWEEPS = Sweeps()
 Floats = NDArray[np.float64]
 

@@ -13,8 +13,6 @@ from geokit.accuracy.stability.fields import MIDDLE, Field, ball, field, joined,
 from geokit.accuracy.stability.shapes import judged
 from geokit.accuracy.trials.model import Judgement, Sweeps
 
-__all__ = ["SWEEPS"]
-
 SWEEPS = Sweeps()
 Floats = NDArray[np.float64]
 

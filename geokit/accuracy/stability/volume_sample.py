@@ -15,8 +15,6 @@ from geokit.accuracy.trials.model import Judgement, Sweeps, cases_of
 if TYPE_CHECKING:
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["SWEEPS"]
-
 SWEEPS = Sweeps()
 Floats = NDArray[np.float64]
 

@@ -11,8 +11,6 @@ from geokit._config import show_config
 from geokit.core.base.late_warp import wp
 from geokit.core.base.system import said
 
-__all__ = ["machine_facts", "machine_line", "processor_name", "version_facts"]
-
 
 def machine_facts() -> dict[str, str]:
     """Processor, memory, GPUs, system and date."""

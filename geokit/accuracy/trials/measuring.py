@@ -24,8 +24,6 @@ from geokit.errors import InputError
 if TYPE_CHECKING:
     from geokit.accuracy.trials.model import Chart, Judgement, Measurement, Trial
 
-__all__ = ["measure", "peak_bytes", "reset_high_water", "resident_status"]
-
 # Fewest runs: the median of three is not affected by one disturbed run.
 FEWEST_RUNS = 3
 # Most runs: more do not improve the median of a fast method.

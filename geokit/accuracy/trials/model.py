@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from geokit.mesh.model.triangle_mesh import TriangleMesh
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["Chart", "Envelope", "Judgement", "Measurement", "Subject", "Sweep", "Sweeps", "Trial", "cases_of"]
-
 
 class Subject(NamedTuple):
     """An object to measure on; exactly one of ``mesh``, ``volume`` and ``points`` is not None.

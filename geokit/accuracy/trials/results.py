@@ -7,8 +7,6 @@ from typing import Literal, NamedTuple
 
 from geokit.accuracy.trials.model import Chart, Measurement, Subject
 
-__all__ = ["ChartInfo", "Failure", "Group", "Results", "grouped"]
-
 
 class ChartInfo(NamedTuple):
     """A chart without its trials.

@@ -13,11 +13,6 @@ from numpy.typing import NDArray
 from geokit.accuracy.trials.model import Judgement, Trial
 from geokit.core.base.late_warp import wp
 
-__all__ = [
-    "angles", "failed", "held_bytes", "judged", "on_host", "send", "setting_of", "time_left", "unit",
-    "without_warnings",
-]  # fmt: skip
-
 Floats = NDArray[np.float64]
 
 # Shorter runs [s] need no estimate.

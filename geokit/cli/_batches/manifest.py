@@ -30,8 +30,6 @@ from geokit.core.files import atomic_path
 from geokit.core.running.thread_placement import Pool
 from geokit.errors import FileAccessError, FileFormatError, InputError
 
-__all__ = ["Manifest", "merge", "own_files", "read_manifest", "write_failures"]
-
 FORMAT = 1
 STAGING = ".geokit-batch"
 # What is of no use any more, in the staging area: only who writes the manifest puts folders there and removes them.

@@ -12,8 +12,6 @@ from geokit.core.files import extension
 from geokit.core.require import require_count
 from geokit.errors import FileAccessError, GeokitError, InputError
 
-__all__ = ["run_batch", "targets_in"]
-
 # Files that wait for a free job; results are told in the order of the files.
 WAITING = 4
 

@@ -19,18 +19,6 @@ from geokit.cli._program.run import usage_message
 from geokit.core.files import in_one_line, require_file
 from geokit.errors import InputError
 
-__all__ = [
-    "GLOBAL",
-    "Recipe",
-    "Step",
-    "is_made",
-    "names_of",
-    "output_name",
-    "output_names",
-    "read_recipe",
-    "refusal_of",
-]
-
 # Verbs of people at a terminal, or without a file.
 LEFT_OUT = ("view", "guide", "doctor", "demo", "batch")
 STEP_VERBS = tuple(verb for verb in VERBS if verb not in LEFT_OUT)

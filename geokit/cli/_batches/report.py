@@ -10,8 +10,6 @@ from typing import Any
 
 from geokit.core.files import atomic_path
 
-__all__ = ["table", "totals", "write_page", "write_report"]
-
 # Rows of the tables of failures and of slow files; the manifest has all.
 MOST = 200
 STYLE = """body{font:15px/1.5 system-ui,sans-serif;max-width:70em;margin:2em auto;padding:0 1em;color:#222}

@@ -14,8 +14,6 @@ from geokit.cli._batches.worker import about_here, end_processes, run_files, set
 from geokit.distributed._cluster import connected
 from geokit.errors import FileAccessError, GeokitError, WorkerError
 
-__all__ = ["Workers", "files_per_task", "local_workers", "remote_workers", "run_all"]
-
 # Tasks that wait for each worker, so that none is idle while records are written.
 AHEAD = 2
 # Tasks a second that a scheduler starts without trouble: half of what was measured (docs/design/batch.md).

@@ -41,8 +41,6 @@ from geokit.core.files import in_one_line, require_file
 from geokit.core.running.answers import take_stdout
 from geokit.errors import GeokitError
 
-__all__ = ["DONE", "OUTPUTS", "RECORD", "WORK", "key_of", "main", "run_task"]
-
 # Folders of the staging area, and what a committed folder holds.
 WORK, DONE, OUTPUTS, RECORD = "work", "done", "outputs", "record.json"
 # No file is to blame for these: the machine is.

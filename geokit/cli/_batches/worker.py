@@ -28,8 +28,6 @@ from geokit.core.base.system import UNLIMITED, limits
 from geokit.errors import WorkerError
 from geokit.formats.reader.server import Ended
 
-__all__ = ["TRIES", "about_here", "end_processes", "run_files", "set_aside", "unstarted", "versions"]
-
 # A file whose process ends this often is set aside.
 TRIES = 3
 REMEDY = "give fewer --jobs, or raise the limit of processes (ulimit -u), and run the same command again"

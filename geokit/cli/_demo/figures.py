@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     from geokit.mesh import RayHits
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["FIGURES", "accuracy_chart", "draw_figures"]
-
 FIGURES = ("surface.png", "raycast.png", "slice.png", "neighbors.png")
 # Number of projected points in the figure; more of them could not be told apart.
 SHOWN_POINTS = 400

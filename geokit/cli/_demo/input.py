@@ -14,8 +14,6 @@ from geokit.accuracy.stability.shapes import torus
 from geokit.errors import MissingDependencyError
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 
-__all__ = ["Camera", "camera_rays", "find_mesh", "load_mesh", "points_on"]
-
 # Segments around and across the torus that is generated if no mesh is found.
 TORUS_SEGMENTS = (160, 80)
 TORUS = f"a generated torus; for the Stanford bunny: {remedy('pxr')}, for a mesh of your own: --mesh FILE"

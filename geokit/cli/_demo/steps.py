@@ -27,25 +27,6 @@ if TYPE_CHECKING:
     from geokit.mesh import RayHits, Surface
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = [
-    "COLUMNS",
-    "AccuracyPoint",
-    "DemoLog",
-    "Neighborhood",
-    "Projection",
-    "accuracy_over_voxel_size",
-    "build_volume",
-    "build_wide_volume",
-    "cast_image",
-    "export",
-    "extract_surface",
-    "find_neighbors",
-    "project_points",
-    "sample_volume",
-    "save_and_reload",
-    "warm_up",
-]
-
 POINT_COUNT = 1_000_000
 EXPORTED_COUNT = 200_000
 CLOUD_COUNT = 200_000

@@ -12,8 +12,6 @@ from cyclopts import App, Parameter
 import geokit
 from geokit._shipped import folder_of
 
-__all__ = ["GROUPS", "VERBS", "build_app", "build_commands", "examples_of"]
-
 VERBS = {
     "info": "Describe a mesh, a volume or a point cloud.",
     "convert": "Convert between mesh formats, volume formats, and from one to the other.",

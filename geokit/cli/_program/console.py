@@ -14,8 +14,6 @@ from typing import Any
 
 from geokit.core.base.printable import printable
 
-__all__ = ["announce_compiling", "at_end", "note", "print_facts", "print_json", "print_table", "say", "shown", "step"]
-
 # What a command sets in its process for as long as it runs: undone when it ends, since others may run in that process.
 at_end = contextlib.ExitStack()
 

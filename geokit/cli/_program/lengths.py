@@ -10,8 +10,6 @@ from cyclopts import Parameter
 
 from geokit.errors import InputError
 
-__all__ = ["AnyLength", "FromUnit", "Places", "length_in", "lengths_in", "unit_of"]
-
 _LENGTH = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)\s*(\D*)", re.IGNORECASE)
 
 

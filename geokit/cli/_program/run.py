@@ -14,8 +14,6 @@ from geokit.cli._program.console import at_end
 from geokit.core.base.printable import printable
 from geokit.errors import GeokitError
 
-__all__ = ["run", "show_warning", "usage_message"]
-
 FAILURE, USAGE = 1, 2
 # The exit code that a shell reports for a command killed by SIGPIPE.
 BROKEN_PIPE = 141

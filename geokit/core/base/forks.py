@@ -11,8 +11,6 @@ from collections.abc import Callable
 from typing import Protocol
 from weakref import WeakSet
 
-__all__ = ["ForkAware", "Lock", "register_at_fork", "renew_after_fork"]
-
 # Where the system has no forks, nothing is to be done at one.
 register_at_fork: Callable[..., None] = getattr(os, "register_at_fork", lambda **_: None)
 

@@ -15,8 +15,6 @@ from collections.abc import Iterator, Sequence
 from types import FrameType
 from typing import Any
 
-__all__ = ["ATTEMPTS", "child_process", "signals_held"]
-
 # How often work that must not be left half done is tried while interrupts come.
 ATTEMPTS = 5
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import re
 
-__all__ = ["in_one_line", "printable"]
-
 # Bytes of names that are no UTF-8, but for the control characters among them.
 _BYTES = range(0xDCA0, 0xDD00)
 

@@ -27,8 +27,6 @@ try:
 except ImportError:  # not a POSIX system: what killed processes leave stays
     fcntl = None  # type: ignore[assignment]
 
-__all__ = ["distrust", "make_own", "private_folder", "remove_folder", "require_trusted", "temporary_parent"]
-
 PREFIX = ".geokit-"
 # A machine and a number: other folders of the user may begin like that, such as those of a batch.
 OWN_NAME = re.compile(re.escape(PREFIX) + "[0-9a-f]{8}-[0-9a-f]{16}")

@@ -9,8 +9,6 @@ import sys
 from collections.abc import Callable, Iterable
 from typing import Any
 
-__all__ = ["FIRST_ALONE", "QUERIES", "Query", "queries_of"]
-
 # As ``least_rows``: no block is worth the copies between devices, so that the first device alone answers.
 FIRST_ALONE = sys.maxsize
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import contextlib
 from pathlib import Path
 
-__all__ = ["UNLIMITED", "limits", "said"]
-
 UNLIMITED = 1 << 62
 
 

@@ -14,8 +14,6 @@ from geokit.core.interop.arrays import led
 from geokit.core.memory import available_memory
 from geokit.core.require import require_callable
 
-__all__ = ["Progress", "in_chunks", "in_percent"]
-
 # Called with the number of queries answered so far and the total number.
 Progress = Callable[[int, int], None]
 

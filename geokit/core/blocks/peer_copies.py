@@ -12,8 +12,6 @@ from geokit.core.base.forks import Lock
 from geokit.core.base.late_warp import wp
 from geokit.core.launches.cuda_driver import cuda_driver
 
-__all__ = ["copy_rows", "copy_stream", "open_memory"]
-
 NON_BLOCKING = 1  # CU_STREAM_NON_BLOCKING
 _opening = Lock()
 

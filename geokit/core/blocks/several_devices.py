@@ -23,8 +23,6 @@ from geokit.core.blocks.shared_rows import Question
 from geokit.core.gradients.rules import held_by, is_tracked, is_warp_array
 from geokit.errors import InputError
 
-__all__ = ["LEAST_ON_GPUS", "OnDevices", "answer", "are_asked", "devices_of", "replicas", "shows_arguments"]
-
 # Fewest rows for each device; the first device alone answers fewer. Rows on a GPU are answered sooner, and copies
 # between GPUs take a millisecond or two, so there have to be more.
 LEAST_ROWS = 1 << 15

@@ -21,8 +21,6 @@ from geokit.core.blocks.peer_copies import copy_rows, copy_stream, open_memory
 from geokit.core.interop.arrays import exporter_like, import_array
 from geokit.core.running.thread_placement import Pool
 
-__all__ = ["Question"]
-
 # Blocks of rows on the host: so many are with each device at a time, so that one is copied while another is answered,
 # and each is of so many rows.
 BLOCKS_AT_A_TIME = 2

@@ -16,8 +16,6 @@ from geokit.core.base.late_warp import wp
 from geokit.core.base.system import said
 from geokit.errors import InputError
 
-__all__ = ["LEVELS", "NATIVE", "choose", "flags_of", "level"]
-
 NATIVE = "native"
 # What warp compiles for by default.
 _NATIVE_FLAG = "-march=native"

@@ -10,8 +10,6 @@ from typing import Any
 from geokit.core.base.late_warp import wp
 from geokit.core.launches import warp_private
 
-__all__ = ["kernel_modules", "warp_modules"]
-
 _SUFFIX = "_kernels"
 
 

@@ -19,8 +19,6 @@ from typing import Any, NamedTuple
 from geokit.core.base.late_warp import wp
 from geokit.core.launches import warp_private
 
-__all__ = ["INDEX", "OBJECTS", "Shipped", "count", "digest_of", "find", "folders"]
-
 # Where a wheel has its objects, and the name of the table of objects in a folder.
 OBJECTS = Path(__file__).resolve().parent / "objects"
 INDEX = "index.json"

@@ -27,8 +27,6 @@ from geokit.core.launches import warp_private
 from geokit.core.require import read_array
 from geokit.errors import InputError
 
-__all__ = ["library_of", "of_constants", "with_gradients"]
-
 _Operation = TypeVar("_Operation", bound=Callable[..., Any])
 
 

@@ -17,8 +17,6 @@ from geokit.core.gradients.sums_kernels import ADD, number_kernel, sum_rows_kern
 from geokit.core.interop.arrays import detached, reinterpreted
 from geokit.core.memory.unchecked import sort_pairs
 
-__all__ = ["WarpArrays", "add_to", "pulled_by_kernel"]
-
 _VECTORS = {wp.float32: wp.vec3f, wp.float64: wp.vec3d}
 _NUMBERS = {vector: number for number, vector in _VECTORS.items()}
 

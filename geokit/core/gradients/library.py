@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-__all__ = ["Library", "cross", "dot", "length"]
-
 
 class Library(NamedTuple):
     """Functions of one array library.

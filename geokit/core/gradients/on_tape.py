@@ -22,8 +22,6 @@ from geokit.core.launches import warp_private
 from geokit.core.require import read_array
 from geokit.errors import InputError
 
-__all__ = ["attach", "record"]
-
 
 def attach(call: Call) -> Any:
     """Answer a call with arrays that carry gradients, and record the way back."""

@@ -24,26 +24,6 @@ from geokit.errors import InputError
 if TYPE_CHECKING:
     import jax
 
-__all__ = [
-    "PLAIN",
-    "Asked",
-    "Call",
-    "Deferred",
-    "Rule",
-    "held_by",
-    "hold",
-    "is_on_tape",
-    "is_torch_tensor",
-    "is_tracked",
-    "is_warp_array",
-    "owner_of",
-    "refuse_gradients",
-    "require_constant",
-    "shaped",
-    "split",
-    "untracked",
-]
-
 # Attribute of an object (Surface, SparseVolume, NeighborGrid) that holds tensors with gradients.
 _HELD = "_held_tensors"
 # Types of options, which neither are tensors nor hold any.

@@ -13,8 +13,6 @@ from geokit.core.interop.arrays import is_in_order
 from geokit.core.launches.warp_private import KernelArray
 from geokit.core.memory.host_array import array_descriptor
 
-__all__ = ["TensorArrays", "TensorRows", "device_of", "launch", "number_of"]
-
 
 class TensorRows(KernelArray):
     """Numbers (N,), or rows (N, 3) that a kernel takes as vectors; the tensor that a strided one is copied to is kept.

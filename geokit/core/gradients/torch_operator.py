@@ -17,8 +17,6 @@ from geokit.core.gradients.rules import Asked, shaped, untracked
 from geokit.core.gradients.with_torch import by_kernel, pulled
 from geokit.errors import InputError
 
-__all__ = ["traced"]
-
 
 class _Known(NamedTuple):
     """A query and its arguments that are not tensors; objects are held by weak references."""

@@ -14,9 +14,6 @@ from geokit.core.gradients.rules import Asked, Call, Deferred, is_warp_array, ow
 from geokit.core.gradients.with_numpy import pulled
 from geokit.errors import InputError
 
-__all__ = ["LIBRARY", "Traced", "attach"]
-
-
 _Same = TypeVar("_Same", bound="Traced")
 
 

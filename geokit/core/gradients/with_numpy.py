@@ -13,8 +13,6 @@ from geokit.core.gradients.library import Library
 from geokit.core.gradients.rules import Asked
 from geokit.errors import InputError
 
-__all__ = ["pulled"]
-
 
 def pulled(query: Query, asked: Asked, answer: Any, slopes: Any, wanted: list[str]) -> dict[str, Any]:
     """Derivatives with respect to the arrays ``wanted``, from those with respect to the answer, by name.

@@ -17,8 +17,6 @@ from geokit.core.launches.late_checks import AtEnd
 from geokit.core.require import read_array
 from geokit.errors import InputError
 
-__all__ = ["LIBRARY", "attach", "by_kernel", "pulled"]
-
 # Whether torch.func transforms what runs; all calls count as transformed where torch does not tell.
 _is_transformed = getattr(torch._C, "_are_functorch_transforms_active", lambda: True)
 # The hooks that watch what graphs keep, if there are any: of checkpoints, or to move it to the host.

@@ -15,12 +15,6 @@ from geokit.core.launches.cuda_driver import cuda_driver
 from geokit.core.require import require_memory, require_unrecorded
 from geokit.errors import InputError
 
-__all__ = [
-    "as_table", "broadcast_rows", "detached", "exporter_like", "flat_rows", "import_array", "is_exporter",
-    "is_in_order", "lead_of", "led", "reinterpreted", "widened",
-]  # fmt: skip
-
-
 # Types of numbers of other libraries that kernels do not take.
 WIDENED = {"float16", "bfloat16", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
 

@@ -10,8 +10,6 @@ from geokit import _drawing
 if TYPE_CHECKING:
     from geokit.render._view import Page
 
-__all__ = ["repr_html", "show"]
-
 
 def repr_html(thing: object) -> str:
     """Its one-line description, and a small picture if one can be drawn here; for ``_repr_html_``."""

@@ -16,20 +16,6 @@ from geokit.core.interop.arrays import import_array, is_exporter
 from geokit.core.require import read_array
 from geokit.errors import InputError
 
-__all__ = [
-    "POLYGON_CELLS",
-    "Image",
-    "Polygons",
-    "arrays_of",
-    "attribute",
-    "getattr_or_none",
-    "has_faces",
-    "host",
-    "image_of",
-    "points_of",
-    "polygons_of",
-]
-
 # Of meshio's cells: those that bound nothing, and those that are polygons.
 _LOWER = {"vertex", "line", "line3"}
 POLYGON_CELLS = {"triangle": 3, "quad": 4, "polygon": 0}

@@ -9,8 +9,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from geokit.core.base.late_warp import wp
 
-__all__ = ["Array", "Device", "Devices", "MeshLike", "Rows"]
-
 
 class _TypedDevice(Protocol):
     """torch.device."""

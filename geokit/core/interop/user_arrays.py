@@ -40,12 +40,6 @@ from geokit.core.memory.pinned import FEWEST_ROWS, Pinned, PinnedArray, uses_pin
 from geokit.core.require import read_array, require_number, require_unrecorded
 from geokit.errors import InputError
 
-__all__ = [
-    "FROM_ZERO", "LARGEST_MEASURED", "Batch", "empty", "empty_outputs", "full", "mapped", "narrowed", "ray_limits",
-    "read_numbers", "read_rows", "read_vectors", "refuse_rays", "reported_row", "require_finite",
-    "require_finite_scalar", "require_length", "same_rows",
-]  # fmt: skip
-
 # Largest coordinate of queries that measure distances: squares of differences have to stay within float64. Kernels
 # have it as LARGEST of user_arrays_kernels.
 LARGEST_MEASURED = 1e150

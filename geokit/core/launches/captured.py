@@ -5,8 +5,6 @@ from __future__ import annotations
 from geokit.core.base.late_warp import wp
 from geokit.errors import InputError
 
-__all__ = ["WAITED", "is_captured", "refuse"]
-
 # What warp says where the host would wait.
 WAITED = "while graph capture is active"
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import ctypes
 import functools
 
-__all__ = ["cuda_driver"]
-
 
 @functools.cache
 def cuda_driver() -> ctypes.CDLL:

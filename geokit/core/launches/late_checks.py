@@ -12,8 +12,6 @@ from types import TracebackType
 
 from geokit.core.base.late_warp import wp
 
-__all__ = ["AtEnd", "later"]
-
 
 class _Thread(threading.local):
     waiting: list[Callable[[], None]] | None = None

@@ -33,8 +33,6 @@ from geokit.core.base.object_cache import ObjectCache
 from geokit.core.base.query import Query
 from geokit.core.launches import warp_private
 
-__all__ = ["Recording", "answer", "bound", "current", "refuse"]
-
 # Above this number of rows kernels take longer than what a replay saves.
 MOST_ROWS = 256
 # Calls that an object keeps: numbers of rows, types and options.

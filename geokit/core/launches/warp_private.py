@@ -21,12 +21,6 @@ import numpy as np
 
 from geokit.core.base.late_warp import wp
 
-__all__ = [
-    "KernelArray", "PackedLaunch", "arrays_of", "descriptor_type", "has_code", "has_failed_to_build", "is_packed",
-    "last_noted_error", "launch_argument", "load_module", "mark_modified", "missing", "module_files", "module_folder",
-    "module_name", "native_library", "output_name", "parameters", "record_launch", "tape_in_progress",
-]  # fmt: skip
-
 # Fields of the descriptor by which a kernel sees an array. HostArray fills in the address, shape, strides and ndim.
 DESCRIPTOR = ("data", "grad", "shape", "strides", "ndim", "flags")
 # Versions of warp whose CPU kernels are known to be functions of (launch bounds, arguments in one struct). A test

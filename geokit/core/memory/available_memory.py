@@ -18,8 +18,6 @@ from geokit.core.launches import captured
 from geokit.core.launches.cuda_driver import cuda_driver
 from geokit.errors import DeviceMemoryError
 
-__all__ = ["available", "available_host", "require_room"]
-
 # Used where the system reports nothing: small enough for any machine, large enough for ordinary work.
 ASSUMED_BYTES = 4 << 30
 RESERVED_MEMORY, USED_MEMORY = 5, 7  # CU_MEMPOOL_ATTR_RESERVED_MEM_CURRENT, CU_MEMPOOL_ATTR_USED_MEM_CURRENT

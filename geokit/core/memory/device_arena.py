@@ -15,8 +15,6 @@ from geokit.core.memory.host_array import array_descriptor
 if TYPE_CHECKING:
     import numpy as np
 
-__all__ = ["Scratch", "ScratchArray"]
-
 ALIGNMENT = 64
 
 

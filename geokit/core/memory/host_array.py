@@ -11,8 +11,6 @@ from geokit.core.base.late_warp import wp
 from geokit.core.launches import prepared, warp_private
 from geokit.core.launches.warp_private import KernelArray
 
-__all__ = ["HostArray", "array_descriptor", "row_of"]
-
 
 class HostArray(KernelArray):
     """Contiguous NumPy rows that a CPU kernel reads or writes: (N,) numbers, or (N, 3) where it takes vec3d.

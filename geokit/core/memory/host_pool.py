@@ -14,8 +14,6 @@ from geokit.core.base.late_warp import wp
 from geokit.core.memory.host_array import HostArray
 from geokit.core.memory.memory_pool import MemoryPool
 
-__all__ = ["empty", "empty_warp", "release"]
-
 # Bound of the pool: a few results of some million numbers. Arrays beyond it are ordinary NumPy arrays.
 KEPT_BYTES = 1 << 27
 # The allocator itself keeps pages for smaller arrays.

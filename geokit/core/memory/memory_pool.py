@@ -15,8 +15,6 @@ import numpy as np
 
 from geokit.core.base.forks import renew_after_fork
 
-__all__ = ["Memory", "MemoryPool"]
-
 # Sizes of memory are multiples of this.
 ROUNDING_BYTES = 1 << 16
 # An array uses idle memory only if it fills at least this share of it.

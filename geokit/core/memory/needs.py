@@ -20,8 +20,6 @@ from geokit.core.launches import captured
 from geokit.core.memory import available_memory
 from geokit.errors import LARGEST_NEED, DeviceMemoryError, GeokitError, InputError
 
-__all__ = ["be_a_guest", "estimated", "file_size", "guarded", "is_out_of_memory", "needs", "require_free", "rows"]
-
 # Needs up to this many bytes are not checked: to ask for the free memory takes 50 us.
 UNCHECKED_BYTES = 1 << 24
 # What libraries and the interpreter allocate beside the data. C++ libraries end the process where they lack it.

@@ -16,8 +16,6 @@ from geokit.core.base.late_warp import wp
 from geokit.core.launches import captured, prepared, warp_private
 from geokit.core.memory.host_array import HostArray
 
-__all__ = ["FEWEST_ROWS", "Pinned", "PinnedArray", "host_arrays", "host_flags", "release", "uses_pinned_memory"]
-
 # From this number of rows on, arrays on the device are faster, and sorting the queries pays.
 FEWEST_ROWS = 2048
 # Holds the rows and results of most queries below FEWEST_ROWS. Larger arrays get pinned memory that is not kept.

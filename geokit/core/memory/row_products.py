@@ -7,8 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["row_product"]
-
 # OpenBLAS starts threads for products of 30,000 rows. In a process with little memory, and in a forked one, it then
 # prints, ends the process or waits for ever. Smaller blocks also stay in the cache: they take half the time.
 BLOCK_ROWS = 8192

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from geokit.core.base.forks import Lock
 from geokit.core.base.late_warp import wp
 
-__all__ = ["Parts", "handed_out", "layout_of_struct", "struct_array", "struct_rows", "struct_table"]
-
 _lock = Lock()
 
 

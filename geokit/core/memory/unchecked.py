@@ -8,8 +8,6 @@ from typing import Any
 from geokit.core.base.late_warp import wp
 from geokit.core.launches.warp_private import last_noted_error
 
-__all__ = ["allocating", "sort_pairs"]
-
 # What several small allocations are rounded up to, together, and the rows in which memory is asked for: warp counts the
 # rows of an array, not its bytes, in 31 bits.
 ROUNDING = 1 << 20

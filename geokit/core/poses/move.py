@@ -17,10 +17,6 @@ from geokit.core.launches import captured
 from geokit.core.require import read_array, require_affine_maps
 from geokit.errors import InputError
 
-__all__ = [
-    "BYTES_PER_MOVE", "answer_placed", "move", "move_packed", "refuse_tracked", "require_rigid", "require_rigid_maps",
-]  # fmt: skip
-
 # How far axes may be from orthonormal: poses in float32 are off by 1e-7, and distances are off by no larger share.
 RIGID = 1e-6
 # Memory of a moved row.

@@ -20,8 +20,6 @@ from geokit.core.memory.needs import rows as count
 from geokit.core.poses.move import BYTES_PER_MOVE, answer_placed, refuse_tracked
 from geokit.core.query import in_graphs
 
-__all__ = ["query", "transform_axes"]
-
 _Arguments = ParamSpec("_Arguments")
 _Answer = TypeVar("_Answer")
 

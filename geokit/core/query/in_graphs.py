@@ -23,8 +23,6 @@ from geokit.core.launches import captured
 from geokit.core.launches.prepared import PLAIN
 from geokit.errors import InputError
 
-__all__ = ["answer"]
-
 # Calls that an object notes: types and numbers of rows, and options.
 MOST_NOTED = 256
 # Key of the noted calls in the cache of the object that is queried.

@@ -5,8 +5,6 @@ from __future__ import annotations
 import os
 from typing import TextIO
 
-__all__ = ["take_stdout"]
-
 
 def take_stdout() -> TextIO:
     """The standard output for answers alone, line by line.

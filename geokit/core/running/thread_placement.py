@@ -19,8 +19,6 @@ from typing import Any, TypeVar
 from geokit.core.base.interrupts import signals_held
 from geokit.core.memory.available_memory import available_host
 
-__all__ = ["Calls", "Pool"]
-
 # When to check [s]: once all threads are awake, and again in case the system has moved one back.
 CHECK_SECONDS = (3e-4, 1e-3)
 # Field of /proc/PID/task/TID/stat, counted after the name: the processor that the thread last ran on.

@@ -9,8 +9,6 @@ from xml.sax.saxutils import escape
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["as_columns", "free_name", "from_columns", "utf8", "xml_name"]
-
 # Names of the columns of arrays with a meaning: the first are written.
 _NAMES = {
     "normal": (("nx", "ny", "nz"),),

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from geokit.mesh.model.data import Material
     from geokit.mesh.model.triangle_mesh import TriangleMesh
 
-__all__ = ["attributes_of", "glb_of", "gltf_of", "has_alpha", "holds_texture", "holds_type", "materials_of"]
-
 _MAGIC, _JSON, _BINARY = b"glTF", b"JSON", b"BIN\0"
 _NAMES = {"NORMAL": "normal", "TEXCOORD_0": "uv", "COLOR_0": "color"}
 _TEXTURES = ("normalTexture", "occlusionTexture", "emissiveTexture")

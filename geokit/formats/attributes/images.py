@@ -12,8 +12,6 @@ from geokit._packages import require_package
 from geokit.errors import FileFormatError
 from geokit.mesh.model.data import Texture
 
-__all__ = ["as_read", "picture_of", "pixel_count", "pixels_of", "png_of"]
-
 _KINDS = {"PNG": (b"\x89PNG", ".png"), "JPEG": (b"\xff\xd8\xff", ".jpg"), "WEBP": (b"RIFF", ".webp")}
 
 

@@ -15,8 +15,6 @@ from geokit.formats.file_content.body import Body, FileMaterial
 from geokit.mesh.attributes.derived import turned_normals
 from geokit.mesh.model.data import Material, Texture, full_scale, has_meaning, with_alpha
 
-__all__ = ["JoinedData"]
-
 # Most reasons in a warning.
 MOST_NOTES = 5
 _KINDS = ("vertex_data", "face_data", "corner_data")

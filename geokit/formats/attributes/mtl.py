@@ -11,16 +11,6 @@ from geokit.formats.file_content.body import FileMaterial
 from geokit.formats.file_content.references import LONGEST, require_inside
 from geokit.mesh.model.data import Material
 
-__all__ = [
-    "image_content",
-    "image_files",
-    "image_names",
-    "library_name",
-    "plain_names",
-    "read_libraries",
-    "write_library",
-]
-
 # Larger files are no material libraries and no images, and memory must not end for a name in a file.
 LARGEST_FILE = 1 << 30
 # Options of a texture, which stand before its name, and the most numbers or words that follow each.

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Boxes"]
-
 # Points of a sample that place the last cuts.
 FEWEST = 8
 

@@ -19,8 +19,6 @@ from geokit.formats.blocks.records import rows_at_a_time
 from geokit.formats.blocks.triangles import LONGEST_HEADER
 from geokit.formats.columns import Columns, joined
 
-__all__ = ["KINDS", "Block", "PointFile", "PointFileWriter", "open_points"]
-
 KINDS = (".las", ".laz", ".ply")
 
 Block = tuple[NDArray[np.float64], Columns]

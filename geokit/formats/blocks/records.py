@@ -14,18 +14,6 @@ from numpy.typing import NDArray
 from geokit.core.base.private_folder import private_folder
 from geokit.errors import FileAccessError
 
-__all__ = [
-    "AT_A_TIME",
-    "BYTES_AT_A_TIME",
-    "Buckets",
-    "Known",
-    "RecordFile",
-    "append",
-    "rows_at_a_time",
-    "survey",
-    "work_folder",
-]
-
 # Records that are read at a time, and memory for what is read, sorted and written then.
 AT_A_TIME, BYTES_AT_A_TIME = 1 << 17, 64 << 20
 # Largest block: it is held several times while it is converted.

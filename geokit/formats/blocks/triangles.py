@@ -18,8 +18,6 @@ from geokit.formats.ply import read_header
 from geokit.formats.stl import HEADER_BYTES, RECORD, binary_count, left_behind
 from geokit.formats.text_files.plain import without_mark
 
-__all__ = ["KINDS", "TriangleFile", "open_triangles"]
-
 KINDS = (".ply", ".stl")
 # The header of a .ply file ends within its first bytes.
 LONGEST_HEADER = 1 << 20

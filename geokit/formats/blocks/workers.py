@@ -15,8 +15,6 @@ from geokit.core.content_limit import working_memory
 from geokit.errors import GeokitError, InputError, WorkerError
 from geokit.formats.blocks.records import RecordFile
 
-__all__ = ["Done", "in_turn", "task_memory"]
-
 # Memory of a task where none is given: how many run on a machine is not known.
 TASK_MEMORY = 1 << 30
 

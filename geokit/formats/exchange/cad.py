@@ -15,8 +15,6 @@ from geokit.core.memory.row_products import row_product
 from geokit.errors import FileFormatError
 from geokit.formats.file_content.body import Body
 
-__all__ = ["prepare", "read_mesh"]
-
 # Largest distance between a curved face and its triangles, over the diagonal of the file's box, and the largest angle
 # between neighboring normals [rad].
 DEFLECTION, ANGLE = 1e-4, 0.2

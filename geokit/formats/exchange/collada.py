@@ -19,8 +19,6 @@ from geokit.errors import FileFormatError
 from geokit.formats.attributes.mtl import image_content
 from geokit.formats.file_content.body import Body, FileMaterial
 
-__all__ = ["prepare", "read_mesh"]
-
 # Elements without which the geometry is whole.
 _VIEWS = ("library_animations", "library_animation_clips", "library_cameras", "library_lights", "instance_camera",
           "instance_light")  # fmt: skip

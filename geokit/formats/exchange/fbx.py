@@ -20,8 +20,6 @@ from geokit.errors import FileFormatError
 from geokit.formats.attributes.mtl import image_content
 from geokit.formats.file_content.body import Body, FileMaterial
 
-__all__ = ["IN_PROCESS", "prepare", "read_mesh"]
-
 # Whether ``trusted=True`` may read a file in the caller's process.
 IN_PROCESS = False
 

@@ -18,8 +18,6 @@ from geokit.formats.attributes.columns import from_columns
 from geokit.formats.file_content.body import Body
 from geokit.formats.text_files.decimal import plain_rows
 
-__all__ = ["is_gmsh", "read_gmsh"]
-
 # Number of nodes, dimension, name.
 _TYPES = {
     1: (2, 1, "line"), 2: (3, 2, "triangle"), 3: (4, 2, "quad"), 4: (4, 3, "tetra"), 5: (8, 3, "hexahedron"),

@@ -27,8 +27,6 @@ from geokit.formats.text_files.decimal import written_rows
 if TYPE_CHECKING:
     from geokit.mesh.model.triangle_mesh import TriangleMesh
 
-__all__ = ["content_bytes", "read_mesh", "write_mesh"]
-
 # Meters in the units that a file can name.
 _UNITS = {"micron": 1e-6, "millimeter": 1e-3, "centimeter": 1e-2, "inch": 0.0254, "foot": 0.3048, "meter": 1.0}
 # Resources that say how triangles look.

@@ -17,8 +17,6 @@ from geokit.core.files import damaged
 from geokit.errors import FileAccessError, FileFormatError
 from geokit.formats.file_content.references import LONGEST, require_inside
 
-__all__ = ["read_grid"]
-
 # Soft links of HDF5, or references of items, that lead to each other.
 LONGEST_CHAIN = 16
 _TYPES = {

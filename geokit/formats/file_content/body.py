@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-__all__ = ["Body", "FileMaterial"]
-
 _NOTHING: Mapping[str, Any] = MappingProxyType({})
 
 

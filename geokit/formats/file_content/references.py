@@ -9,8 +9,6 @@ from pathlib import Path
 
 from geokit.errors import FileAccessError
 
-__all__ = ["allowed_folders", "require_inside", "set_default_folders"]
-
 # Most characters of a reference in a message.
 LONGEST = 100
 

@@ -26,8 +26,6 @@ from geokit.errors import FileFormatError
 from geokit.formats.file_content.references import allowed_folders, require_inside
 from geokit.formats.images.image import Image, affine, grids_of, reading, scaled
 
-__all__ = ["open_images"]
-
 # The transfer syntax "RLE Lossless".
 RLE = "1.2.840.10008.1.2.5"
 # pydicom reads this much and less without knowing that it is there [bytes].

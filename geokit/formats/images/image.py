@@ -26,12 +26,6 @@ from geokit.errors import FileFormatError, InputError
 from geokit.formats.file_content.references import allowed_folders, require_inside
 from geokit.formats.reader.warnings import warn_of
 
-__all__ = [
-    "LARGEST_COSINE", "METERS", "Image", "affine", "file_beside", "fitting_codec", "grids_of", "in_space", "in_unit",
-    "left_out_keys", "note_of", "noted", "one_unit", "reading", "require_straight", "require_three", "scaled",
-    "stored_type",
-]  # fmt: skip
-
 # Lengths of the units that files name.
 METERS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "angstrom": 1e-10}
 # Axes are at right angles where the cosine between them is at most this: files round to float32.

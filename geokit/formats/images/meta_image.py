@@ -36,8 +36,6 @@ from geokit.formats.images.image import (
 from geokit.formats.images.stream import packed_writer, slabs_in
 from geokit.formats.reader.warnings import warn_of
 
-__all__ = ["open_images", "write_image"]
-
 HEAD_BYTES = 1 << 16
 # Keys of the format; others are the user's own.
 _KEYS = (

@@ -30,8 +30,6 @@ from geokit.formats.images.image import (
 )
 from geokit.formats.images.stream import slabs_in
 
-__all__ = ["open_images", "write_image"]
-
 # It holds no axes but those of the world: others are turned to them, where they are parallel.
 STRAIGHT = True
 HEAD_BYTES = 1024

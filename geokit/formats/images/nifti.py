@@ -35,8 +35,6 @@ from geokit.formats.images.image import (
 from geokit.formats.images.stream import packed_writer, slabs_in
 from geokit.formats.reader.warnings import warn_of
 
-__all__ = ["open_images", "write_image"]
-
 # Header and extensions are within this.
 HEAD_BYTES = 1 << 20
 UNITS = {"meter": "m", "mm": "mm", "micron": "um"}

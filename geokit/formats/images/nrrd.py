@@ -33,8 +33,6 @@ from geokit.formats.images.image import (
 from geokit.formats.images.stream import packed_writer, slabs_in
 from geokit.formats.reader.warnings import warn_of
 
-__all__ = ["open_images", "write_image"]
-
 HEAD_BYTES = 1 << 20
 # A key with a value of the user's own, such as the name of a segment.
 _KEY = re.compile(rb"^([^#:\r\n][^:\r\n]*):=", re.MULTILINE)

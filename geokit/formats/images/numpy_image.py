@@ -18,8 +18,6 @@ from geokit.formats.images.image import Image, fitting_codec, require_three
 from geokit.formats.images.stream import rows_at_a_time
 from geokit.formats.numpy_files import loaded
 
-__all__ = ["is_volume", "open_images", "write_image"]
-
 
 def is_volume(path: Path) -> bool:
     """Whether the array of a file has three axes, and not the three coordinates of an image of points."""

@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 from geokit.core.files import named_damage
 from geokit.errors import FileFormatError
 
-__all__ = ["PACKINGS", "SLAB_BYTES", "packed_writer", "rows_at_a_time", "slabs_in"]
-
 # Size of a slab, so that memory does not grow with the file.
 SLAB_BYTES = 32 << 20
 # Sparse volumes compress well at any level, and higher ones take several times as long.

@@ -37,8 +37,6 @@ from geokit.formats.images.image import (
 from geokit.formats.images.stream import rows_at_a_time, slabs_in
 from geokit.formats.reader import process as reader_process
 
-__all__ = ["open_images", "prepare", "read_grids", "write_image"]
-
 UNITS = {"µm": "um", "\\u00B5m": "um", "μm": "um", "micron": "um", "microns": "um", "Å": "angstrom", "å": "angstrom"}
 TYPES = {"b1": "u1"} | {f"{kind}{size}": f"{kind}{size}" for kind in "ui" for size in (1, 2, 4)}
 TYPES |= {"f2": "f4", "f4": "f4", "f8": "f8"}

@@ -25,8 +25,6 @@ from geokit.core.files import in_one_line
 from geokit.errors import FileFormatError
 from geokit.formats.images.image import Image, affine, reading, require_three
 
-__all__ = ["open_images"]
-
 LARGEST_SIDE = 256
 # Shades of the palette of files without one: its first colors are all of three of these, but for black, from white on;
 # then come ten of red, green, blue and gray.

@@ -28,8 +28,6 @@ from geokit.formats.reader import process as reader_process
 from geokit.formats.reader.warnings import warn_of
 from geokit.formats.vtk import _collected, _window, _without_pointers, no_numbers, reported
 
-__all__ = ["open_images", "prepare", "read_grids", "write_image"]
-
 NAMES = {"i1": "Int8", "u1": "UInt8", "i2": "Int16", "u2": "UInt16", "i4": "Int32", "u4": "UInt32", "i8": "Int64",
          "u8": "UInt64", "f4": "Float32", "f8": "Float64"}  # fmt: skip
 STORED = {"b1": "<u1", "f2": "<f4"} | {kind: f"<{kind}" for kind in NAMES}

@@ -42,8 +42,6 @@ from geokit.formats.images.image import (
 )
 from geokit.formats.images.stream import rows_at_a_time
 
-__all__ = ["open_images", "write_image"]
-
 UNITS = {
     "meter": "m",
     "centimeter": "cm",

@@ -25,8 +25,6 @@ from geokit.formats.reader import server as reader_server
 from geokit.formats.reader.warnings import warn_of
 from geokit.formats.reader.worker import DATA, HEAD_SIZE
 
-__all__ = ["FROM_OUTSIDE", "ask", "killed", "read_grids", "read_mesh", "read_points", "reading_seconds", "request_of"]
-
 # The process has its libraries ready; the slowest reader (ASCII .msh) takes 0.4 s for a megabyte.
 BASE_SECONDS = 15.0
 SECONDS_PER_MEGABYTE = 2.0

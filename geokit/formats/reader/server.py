@@ -40,8 +40,6 @@ from geokit.core.base.interrupts import child_process
 from geokit.core.base.system import limits
 from geokit.formats.reader import worker as reader_worker
 
-__all__ = ["Ended", "Exchange", "TimeExpired", "exchange", "status_name"]
-
 # Importing a library takes up to 2 s on a busy machine, and much longer from a cold network folder.
 START_SECONDS = 60.0
 # The reader ends itself after its time; the caller stops waiting for it a little later.

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from geokit.errors import FileAccessError, FileFormatError, MissingDependencyError
 from geokit.formats.file_content.body import Body
 
-__all__ = ["read_mesh", "read_points"]
-
 
 def read_mesh(
     path: Path, module: ModuleType, folders: Sequence[Path] | None, options: Mapping[str, float] | None = None

@@ -13,8 +13,6 @@ from pathlib import Path
 
 from geokit._warn import warn
 
-__all__ = ["collected", "warn_of"]
-
 # Characters of a warning that are passed on, and number of them.
 LONGEST, MOST = 300, 20
 # meshio prints its warnings, in lines of some width.

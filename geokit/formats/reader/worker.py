@@ -28,8 +28,6 @@ from geokit.errors import FileAccessError, FileFormatError
 from geokit.formats.file_content.body import Body
 from geokit.formats.reader.warnings import collected
 
-__all__ = ["DATA", "HEAD_SIZE", "READY", "Request", "main"]
-
 # Comes before the answer once the process has started, before it opens the file.
 READY = b"ready\n"
 # Arrays of a body by name.

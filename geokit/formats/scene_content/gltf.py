@@ -12,8 +12,6 @@ from geokit.errors import FileFormatError
 from geokit.formats.scene_content.gltf_accessors import Accessors, entry_of, object_of, objects, primitives_of
 from geokit.formats.scene_content.gltf_shapes import INSTANCES, VISIBILITY, write_out
 
-__all__ = ["is_animated", "opened"]
-
 # Extensions that do not change the shape, by the beginnings of their names.
 _LOOKS = (
     "KHR_materials_", "KHR_texture_", "KHR_lights_", "KHR_xmp", "KHR_animation_pointer", "EXT_texture_", "EXT_lights_",

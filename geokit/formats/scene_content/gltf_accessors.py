@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 
 from geokit.errors import FileFormatError
 
-__all__ = ["FLOAT", "Accessors", "entry_of", "object_of", "objects", "primitives_of"]
-
 _KINDS: dict[int, np.dtype[Any]] = {
     5120: np.dtype("<i1"), 5121: np.dtype("<u1"), 5122: np.dtype("<i2"), 5123: np.dtype("<u2"), 5125: np.dtype("<u4"),
     5126: np.dtype("<f4"),

@@ -21,8 +21,6 @@ from numpy.typing import NDArray
 
 from geokit.formats.scene_content.gltf_accessors import FLOAT, Accessors, entry_of, object_of, objects, primitives_of
 
-__all__ = ["INSTANCES", "VISIBILITY", "local_pose", "turn_of", "write_out"]
-
 INSTANCES = "EXT_mesh_gpu_instancing"
 VISIBILITY = "KHR_node_visibility"
 _TRANSFORM = "KHR_texture_transform"

@@ -18,8 +18,6 @@ from geokit.formats.file_content.references import LONGEST, require_inside
 if TYPE_CHECKING:
     from geokit.mesh.model.data import Material
 
-__all__ = ["Bound", "Materials", "write_materials"]
-
 _OTHER_TEXTURES = "of its textures only those of the base color are read"
 
 

@@ -13,8 +13,6 @@ from typing import Any
 
 from geokit.formats.file_content.body import Body
 
-__all__ = ["SHAPES", "is_animated", "shape_body", "time_of", "value_of"]
-
 # Corners around an axis, and rings of a half sphere. All vertices lie on the shape, and the faces within 0.13% of its
 # radius: 1 - cos(pi / 64).
 AROUND, RINGS = 64, 16

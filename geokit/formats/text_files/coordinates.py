@@ -9,8 +9,6 @@ from pathlib import Path
 from geokit.core.files import in_one_line
 from geokit.errors import FileFormatError
 
-__all__ = ["coordinate_columns", "ray_columns"]
-
 # The unit behind a name: X [m], X(m), X_mm.
 _UNIT = re.compile(
     r"\s*[\[({<][^\])}>]*[\])}>]$|(?<=[xyz])[ _/](?:[munk]?m|cm|dm|ft|in|feet|inch(?:es)?|met(?:er|re)s?)$"

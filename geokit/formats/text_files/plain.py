@@ -8,8 +8,6 @@ from pathlib import Path
 
 from geokit.errors import FileFormatError
 
-__all__ = ["plain_text", "without_mark"]
-
 # Longer marks first: that of UTF-32 begins with that of UTF-16.
 _WIDE = (
     (codecs.BOM_UTF32_LE, "utf-32"),

@@ -17,8 +17,6 @@ from geokit.errors import FileFormatError
 from geokit.formats.text_files.decimal import plain_rows
 from geokit.formats.text_files.words import as_number
 
-__all__ = ["Cells", "decoded", "not_numbers", "read_cells", "read_rows", "separator_of", "split_line"]
-
 # A comment, but not the sign in 1.#INF and in a spreadsheet's #N/A.
 _COMMENT = re.compile(r"(?<!\d\.)#(?!N/A|NUM!|DIV/0!|VALUE!|REF!|NAME\?|NULL!).*", re.IGNORECASE)
 # Two tabulators may have an empty cell between them, which readers at white space would skip.

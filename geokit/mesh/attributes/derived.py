@@ -11,8 +11,6 @@ from geokit.core.memory.row_products import row_product
 from geokit.mesh.model.data import Data, has_meaning
 from geokit.mesh.model.triangle_mesh import MeshPart, TriangleMesh, trusted_mesh
 
-__all__ = ["derived", "moved_to_corners", "turned_normals", "used_vertices", "with_data"]
-
 
 def derived(
     mesh: TriangleMesh,

@@ -13,8 +13,6 @@ from geokit.errors import InputError
 from geokit.mesh.model.data import has_meaning
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 
-__all__ = ["chosen_names", "closest_weights", "interpolated", "interpolation_bytes", "weights_within"]
-
 # Weights below this are rounding of points at a corner or on an edge.
 ROUNDING = 1e-12
 

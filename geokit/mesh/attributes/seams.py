@@ -13,8 +13,6 @@ from geokit.mesh.attributes.derived import derived, with_data
 from geokit.mesh.model.data import Data
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 
-__all__ = ["distinct_corners", "split_seams"]
-
 
 def split_seams(mesh: TriangleMesh, names: Collection[str]) -> TriangleMesh:
     """The mesh with these corner attributes moved to its vertices.

@@ -10,8 +10,6 @@ from geokit.core.frame import Frame
 from geokit.core.memory.unchecked import sort_pairs
 from geokit.core.scan import prefix_sum
 
-__all__ = ["build_binary_tree"]
-
 # Most levels of a tree; the stacks of searches hold 64 nodes.
 MOST_LEVELS = 58
 # Triangles in a leaf: one costs rays up to a fifth, four up to a tenth; closest points of smooth bodies gain a tenth

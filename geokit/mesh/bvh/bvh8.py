@@ -15,8 +15,6 @@ from geokit.core.memory.host_array import HostArray, row_of
 if TYPE_CHECKING:
     from geokit.core.frame import Frame
 
-__all__ = ["WideTrees", "build_wide_trees", "offsets_of", "place_triangles", "ray_leaves", "refit_wide_tree"]
-
 # References of a subtree that one thread builds. Smaller subtrees balance better; larger ones leave less to the top,
 # which a single thread builds.
 SMALLEST_SUBTREE = 2048

@@ -12,8 +12,6 @@ from geokit.core.base.forks import Lock
 from geokit.core.base.late_warp import wp
 from geokit.core.memory.struct_array import Parts, struct_table
 
-__all__ = ["Forest"]
-
 # Triangles side by side in a leaf.
 WIDTH = 8
 

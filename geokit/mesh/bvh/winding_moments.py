@@ -12,8 +12,6 @@ from geokit.core.base.late_warp import wp
 from geokit.core.memory.host_array import HostArray
 from geokit.core.memory.struct_array import Parts, struct_array, struct_rows, struct_table
 
-__all__ = ["build_moments", "build_winding_tree", "winding_tree_of_mesh"]
-
 # Nodes per slice of a launch: the moments of one node, with its leaves, take a few microseconds.
 NODE_GRAIN = 64
 

@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
     Indices = NDArray[np.int64]
 
-__all__ = ["ContactQueries", "Contacts"]
-
 # Vertices in all poses that are placed at a time, and pairs for which there is room at first.
 PLACED, PAIRS = 1 << 22, 1 << 20
 # Share of the size within which distances are known, as in distance_kernels.

@@ -16,8 +16,6 @@ from geokit.mesh.queries.distance import DistanceQueries
 from geokit.mesh.queries.overlaps import require_surface
 from geokit.mesh.topology.normals import unit
 
-__all__ = ["MotionQueries", "TimeOfContact"]
-
 # Steps that a motion takes at most. Half as far each is usual; along a surface they are many.
 STEPS = 1000
 

@@ -19,20 +19,6 @@ from geokit.core.require import (
 )
 from geokit.errors import InputError
 
-__all__ = [
-    "NOTHING",
-    "Data",
-    "Material",
-    "Texture",
-    "as_bytes",
-    "checked_data",
-    "checked_materials",
-    "full_scale",
-    "has_meaning",
-    "read_only",
-    "with_alpha",
-]
-
 Data = Mapping[str, NDArray[Any]]
 
 NOTHING: Data = MappingProxyType({})

@@ -14,8 +14,6 @@ from geokit.core.download import download
 from geokit.core.memory.pinned import host_arrays
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 
-__all__ = ["DeviceArrays", "arrays_on", "box_of", "mesh_on_device", "vertices_near"]
-
 # Boxes after each round of the reduction: enough to fill a GPU, then few enough for the host.
 ROUNDS = 1 << 16, 1 << 8
 

@@ -29,8 +29,6 @@ from geokit.mesh.model.data import NOTHING, Data, Material, checked_data, checke
 if TYPE_CHECKING:
     from geokit.mesh.model.device_mesh import DeviceArrays
 
-__all__ = ["MeshPart", "TriangleMesh", "trusted_mesh"]
-
 
 class MeshPart(NamedTuple):
     """A named range of faces, one for each body that was joined into the mesh.

@@ -19,8 +19,6 @@ from geokit.errors import InputError
 from geokit.mesh.queries.overlaps import LEAF_GRAIN, OverlapQueries, require_surface
 from geokit.mesh.topology.size_limits import require_measurable
 
-__all__ = ["DistanceQueries", "SurfaceDistance"]
-
 # Corners that give the first bound, and slots for each of them. More cost more than their bound saves.
 BOUND_CORNERS = 512
 BOUND_STRIDE = 16

@@ -22,17 +22,6 @@ from geokit.core.interop.arrays import lead_of
 from geokit.mesh.queries.foot_slopes_kernels import FOOT_SLOPES, ROUNDING, SHORT, SlopedFaces
 from geokit.mesh.queries.hit_slopes_kernels import HIT_SLOPES
 
-__all__ = [
-    "CLOSEST_POINT",
-    "CLOSEST_POINT_OF_MANY",
-    "RAYCAST",
-    "RAYCAST_OF_MANY",
-    "SIGNED_DISTANCE",
-    "SIGNED_DISTANCE_OF_MANY",
-    "corners_of",
-    "sloped_faces",
-]
-
 # ROUNDING for what is computed in float32, as jax may be set to: 64 roundings.
 ROUNDING_SINGLE = 2.0**-17
 # Rows whose corners can be sorted: twice as many places as there are corners, numbered with 31 bits.

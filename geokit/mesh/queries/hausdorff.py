@@ -16,8 +16,6 @@ from geokit.mesh.model.triangle_mesh import TriangleMesh
 if TYPE_CHECKING:
     from geokit.mesh.surfaces.surface import Surface
 
-__all__ = ["BLOCK", "MOST_WAITING", "DistanceSearch", "TrianglePieces", "joined_pieces"]
-
 
 class TrianglePieces(NamedTuple):
     """Pieces of triangles, P of them, with the distances and bounds known for them."""

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from geokit.core.frame import Frame
     from geokit.mesh.model.triangle_mesh import TriangleMesh
 
-__all__ = ["LEAF_GRAIN", "BoxOverlaps", "OverlapQueries", "require_surface"]
-
 # Least number of leaves, or boxes, in a thread's share.
 LEAF_GRAIN = 16
 WIDTH = 8

@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from geokit.core.memory.host_array import HostArray
     from geokit.mesh.model.triangle_mesh import TriangleMesh
 
-__all__ = ["ClosestPoints", "FurthestPoints", "PointQueries", "checked_radius", "refuse_raised"]
-
 # The Morton order of queries covers twice the mesh's box; points farther away are clamped to its sides.
 ORDER_HALF_WIDTH = 2.0
 # Queries per thread on a CPU, each starting from the previous answer; more gain nothing. On a GPU one thread per query

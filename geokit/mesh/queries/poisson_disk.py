@@ -15,8 +15,6 @@ from geokit.core.memory import available_memory
 from geokit.core.memory.host_array import HostArray
 from geokit.errors import DeviceMemoryError, InputError
 
-__all__ = ["Draw", "throw_count", "throw_radius"]
-
 # Draws that many uniform samples: triangle_id, barycentric, and positions.
 Draw = Callable[[int], tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.float64]]]
 

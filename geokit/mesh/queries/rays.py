@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from geokit.core.frame import Frame
     from geokit.mesh.model.triangle_mesh import TriangleMesh
 
-__all__ = ["RayHitLists", "RayHits", "RayQueries", "checked_limits", "group_size", "wide_slots"]
-
 # Rays per thread on a CPU, where many are in flight at once. In small groups, finished rays find no successors; with
 # large ones, threads wait for the last group. On a GPU each ray has its own thread.
 FEWEST_IN_GROUP = 256

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from geokit.mesh.surfaces.surface import Surface
     from geokit.mesh.topology.orientation import FaceOrientation
 
-__all__ = ["SignChoice", "choose_side", "choose_sign"]
-
 # Winding numbers below this count as 0: twenty times their error.
 WHOLE = 0.1
 # Points on the surface, spread by area, at which it is asked how much the mesh encloses.

@@ -24,8 +24,6 @@ from geokit.mesh.topology.connectivity import MeshTopology, Topology, collapsed_
 from geokit.mesh.topology.measures import DEGENERATE_RATIO, measure_each
 from geokit.mesh.topology.orientation import FLAT_SHARE
 
-__all__ = ["ForestSigns"]
-
 
 class ForestSigns:
     """Sign methods, pseudonormals and winding numbers of many meshes.

@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 from geokit.core.gradients.library import Library, cross, dot, length
 from geokit.core.gradients.rules import Asked, Rule
 
-__all__ = ["WINDING_NUMBER", "border_edges"]
-
 # Parts of the points, each of which a thread adds for one edge; fewer where there are more edges than this is worth.
 MOST_PARTS = 1024
 MOST_THREADS = 1 << 18

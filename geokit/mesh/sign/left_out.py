@@ -28,17 +28,6 @@ from geokit.mesh.topology.normals import face_normals
 if TYPE_CHECKING:
     from geokit.mesh.surfaces.surface import Surface
 
-__all__ = [
-    "CONTACT",
-    "EXTREME_SIZE",
-    "INNER_POINT",
-    "collapsed",
-    "inner_sheets",
-    "is_inside",
-    "left_out_faces",
-    "sheets_inside",
-]
-
 # Distance of a test point from its face, as a share of the square root of twice the face's area.
 OFF_FACE = 1e-2
 

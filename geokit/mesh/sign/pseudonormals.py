@@ -13,8 +13,6 @@ from geokit.core.memory.host_array import HostArray
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.topology.connectivity import MeshTopology
 
-__all__ = ["pseudonormal_tables"]
-
 
 def pseudonormal_tables(
     mesh: TriangleMesh, topology: MeshTopology, flipped: NDArray[np.bool_], vertices: "wp.array", faces: "wp.array"

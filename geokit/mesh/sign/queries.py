@@ -25,8 +25,6 @@ from geokit.core.require import require_choice, require_flag
 from geokit.mesh.queries.points import ClosestPoints, PointQueries, checked_radius, refuse_raised
 from geokit.mesh.topology.size_limits import require_measurable
 
-__all__ = ["SignQueries", "SignedDistances"]
-
 # Distance, in sizes of a closed mesh, from which on all points count as outside. From 1e16 on the distances to all
 # triangles are equal in float64.
 FAR = 1e9

@@ -13,8 +13,6 @@ from geokit.core import launcher
 from geokit.core.memory.host_array import HostArray
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 
-__all__ = ["Past", "collapsed"]
-
 # Rounds end when one takes less than this share of the faces.
 ROUND_GAIN = 0.03
 # Edges of a part that one launch tries: between launches Ctrl-C is answered.

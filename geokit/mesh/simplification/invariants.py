@@ -13,8 +13,6 @@ from geokit.mesh.surfaces.surface import Surface
 from geokit.mesh.topology.audit import audit_topology
 from geokit.mesh.topology.connectivity import MeshTopology, connected_components, mesh_topology, next_half_edge
 
-__all__ = ["Shape", "alike_near", "shape_of", "turned_faces"]
-
 # Faces whose neighborhoods are listed at once.
 BLOCK = 1024
 

@@ -12,8 +12,6 @@ from geokit.mesh.queries.hausdorff import DistanceSearch, TrianglePieces
 from geokit.mesh.simplification.invariants import turned_faces
 from geokit.mesh.surfaces.surface import Surface
 
-__all__ = ["Proof", "far_faces"]
-
 # A distance within this share below the limit counts as beyond it: deciding exactly would take long.
 SLACK = 0.01
 

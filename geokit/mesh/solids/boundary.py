@@ -29,8 +29,6 @@ from geokit.mesh.topology.orientation import enclosing_pairs
 if TYPE_CHECKING:
     from geokit.mesh.surfaces.surface import Surface
 
-__all__ = ["Boundary", "boundary_of"]
-
 
 class Boundary(NamedTuple):
     """What is left of a mesh without the surface inside of its solids.

@@ -13,8 +13,6 @@ from geokit.mesh.sign.left_out import CONTACT
 from geokit.mesh.solids.judging import areas_of
 from geokit.mesh.solids.pieces import Pieces, inflated
 
-__all__ = ["within_contact"]
-
 # Bodies move by the first of these shares of the size that joins what touches but for the rounding of float64, or of
 # float32, else by CONTACT.
 MOVES = (1e-9, 1e-7)

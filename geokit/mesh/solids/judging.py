@@ -13,8 +13,6 @@ from geokit.mesh.sign.left_out import CONTACT, INNER_POINT
 from geokit.mesh.solids.pieces import Pieces
 from geokit.mesh.topology.normals import cross
 
-__all__ = ["FACES_FOR_A_SHARE", "OVERLAP_SHARE", "areas_of", "checkable", "self_overlap", "verdict_of"]
-
 # Faces that are held against winding numbers at most, and the share of their area that may be found wrong: beside
 # an edge where others cross, a face's side cannot be told from theirs.
 CHECKED_FACES = 100_000

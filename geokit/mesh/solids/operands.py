@@ -24,8 +24,6 @@ from geokit.mesh.topology.bodies import closed_bodies
 if TYPE_CHECKING:
     from geokit.mesh.surfaces.surface import Surface
 
-__all__ = ["Operand", "as_counted", "made_of", "read_operand"]
-
 NAMES = {"Subtract": "difference", "Intersect": "intersection"}
 
 

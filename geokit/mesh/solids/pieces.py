@@ -14,8 +14,6 @@ from geokit.mesh.attributes.derived import used_vertices
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.topology.normals import vertex_normals
 
-__all__ = ["Pieces", "Verb", "boxes_that_meet", "combined", "inflated", "pieces_of", "together"]
-
 # What becomes of solids, as manifold3d names it: of the first one all others are subtracted.
 Verb = Literal["Add", "Subtract", "Intersect"]
 

@@ -21,8 +21,6 @@ from geokit.mesh.topology.normals import cross, unit
 if TYPE_CHECKING:
     from geokit.mesh.surfaces.surface import Surface
 
-__all__ = ["trimmed"]
-
 # Pieces at most, with their pairs: more are needed where a large part of the surface lies in one plane with another
 # part, or where it is crumpled.
 MOST_PIECES = 1 << 22

@@ -32,8 +32,6 @@ from geokit.mesh.topology.connectivity import connected_components, mesh_topolog
 from geokit.mesh.topology.doubled_faces import back_to_back_pairs
 from geokit.mesh.topology.measures import measure_faces
 
-__all__ = ["audit_file"]
-
 # Triangles that stand for all where these are divided.
 SAMPLE_SIZE = 1 << 16
 # Bits of a number that one pass decides, and numbers that are read at a time.

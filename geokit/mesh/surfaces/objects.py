@@ -19,8 +19,6 @@ from geokit.formats.objects import carried_by
 from geokit.formats.polygons import triangulate
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 
-__all__ = ["as_mesh", "require_mesh"]
-
 
 @needs()
 def as_mesh(mesh: Any) -> TriangleMesh:

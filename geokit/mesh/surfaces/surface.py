@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from geokit.mesh.surfaces.user_kernels import Surface as InKernels
     from geokit.mesh.topology.audit import MeshAudit
 
-__all__ = ["Surface"]
-
 # Memory for building a surface, for each triangle of a closed mesh; and for a warp Mesh of it on a GPU.
 BYTES_PER_FACE = 190
 BYTES_PER_FACE_CUDA = 240

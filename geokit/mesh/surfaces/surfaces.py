@@ -32,8 +32,6 @@ from geokit.mesh.surfaces.objects import require_mesh
 from geokit.mesh.surfaces.surface import Surface
 from geokit.mesh.topology.size_limits import LARGEST_SCALE, LEAST_SCALE, require_measurable
 
-__all__ = ["Surfaces"]
-
 # Of a tree while it is built, of signs while they are prepared, and of one surface beside the common tree, on a CPU.
 BYTES_PER_FACE = 240
 SIGN_BYTES_PER_FACE = 165

@@ -15,9 +15,6 @@ from geokit.mesh.topology.connectivity import MeshTopology, connected_components
 from geokit.mesh.topology.doubled_faces import back_to_back_pairs
 from geokit.mesh.topology.measures import FaceMeasures, measure_faces
 
-__all__ = ["ASPECT_QUANTILES", "MeshAudit", "area_and_volume", "audit_topology", "face_parts"]
-
-
 # Minimum, quartiles, maximum.
 ASPECT_QUANTILES = (0.0, 0.25, 0.5, 0.75, 1.0)
 

@@ -20,8 +20,6 @@ from geokit.mesh.topology.measures import measure_faces
 from geokit.mesh.topology.normals import unit
 from geokit.mesh.topology.orientation import FLAT_SHARE
 
-__all__ = ["Bodies", "closed_bodies"]
-
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 

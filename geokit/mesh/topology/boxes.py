@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from geokit.core.memory.needs import require_free
 
-__all__ = ["boxes_of"]
-
 # Memory for the corners of a face and their bounds.
 BYTES_PER_FACE = 200
 

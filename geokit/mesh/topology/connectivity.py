@@ -18,17 +18,6 @@ from geokit.core.equal_rows import merge_equal_points
 from geokit.core.memory.host_array import HostArray
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 
-__all__ = [
-    "MeshTopology",
-    "Topology",
-    "collapsed_faces",
-    "connected_components",
-    "kernels_pay",
-    "mesh_topology",
-    "next_half_edge",
-    "position_corners",
-]
-
 # From here on, a number and an index no longer fit into 64 bits together.
 PACKED_END = 2**64
 # Fewest items that justify a kernel launch, and fewest that also justify loading warp.

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from geokit.mesh.topology.connectivity import Topology, connected_components
 
-__all__ = ["DoubledFaces", "back_to_back_pairs", "doubled_faces", "none_doubled", "with_polygons"]
-
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 

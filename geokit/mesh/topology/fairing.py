@@ -11,8 +11,6 @@ from geokit._packages import require_package
 from geokit.mesh.topology.connectivity import Topology, next_half_edge
 from geokit.mesh.topology.normals import cross, unit
 
-__all__ = ["fair_patches"]
-
 # A triangle is split where its center is farther from its corners than this share of the edges around them.
 DENSITY = 2.0**-0.5
 # Triangles of a patch at most: the solver's memory grows faster than they do.

@@ -12,8 +12,6 @@ from geokit.core import launcher
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.topology.connectivity import kernels_pay
 
-__all__ = ["DEGENERATE_RATIO", "FaceMeasures", "faces_without_area", "largest_of_each", "measure_each", "measure_faces"]
-
 # A triangle whose height is under this share of its longest edge has no area. For float64 coordinates at a distance of
 # 1e4 edges the height has that much noise, so that the normal consists of rounding alone.
 DEGENERATE_RATIO = 1e-12

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from geokit.core.equal_rows import merge_equal_points
 from geokit.errors import InputError
 
-__all__ = ["merge_near_points"]
-
 # Points that the average point may have within the tolerance. Points that belong together are a handful. A tolerance
 # with this many is far above the mesh's resolution, and the time grows with the number of pairs.
 MAX_CROWD = 512

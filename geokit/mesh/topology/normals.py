@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.topology.connectivity import position_corners
 
-__all__ = ["cross", "face_normals", "unit", "vertex_normals"]
-
 
 def face_normals(mesh: TriangleMesh) -> NDArray[np.float64]:
     """Unit normals of the triangles, (F, 3); zero without area."""

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from geokit.mesh.queries.rays import RayHitLists
     from geokit.mesh.surfaces.surface import Surface
 
-__all__ = ["FLAT_SHARE", "FaceOrientation", "enclosing_pairs", "orient_faces"]
-
 # A closed component whose volume is under this share of its area times the mesh's size is a folded sheet: its volume
 # cannot be told from rounding (1e-16 for each face; the faces' errors add up like a random walk).
 FLAT_SHARE = 1e-13

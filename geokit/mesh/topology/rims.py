@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from geokit.mesh.topology.connectivity import Topology, next_half_edge
 
-__all__ = ["Rims", "edges_within", "find_rims", "patches"]
-
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 # Rims with more sides lose ears first: the time for the least area goes with the third power of the sides.

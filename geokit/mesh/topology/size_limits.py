@@ -10,8 +10,6 @@ if TYPE_CHECKING:
     from geokit.core.frame import Frame
     from geokit.mesh.model.triangle_mesh import TriangleMesh
 
-__all__ = ["require_measurable"]
-
 # Sizes as half of the bounding box's longest side. Queries multiply four lengths; a result outside float64's 1e-308 to
 # 1e308 becomes 0, inf or NaN (tests/accuracy/stability/test_envelopes.py).
 LEAST_SCALE, LARGEST_SCALE = 1e-71, 1e71

@@ -20,8 +20,6 @@ from geokit.volume.tree.leaves import require_volume
 if TYPE_CHECKING:
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["sample_attributes"]
-
 
 @of_constants
 @needs(lambda mesh, volumes, **_: 40 * mesh.vertex_count * len(volumes))

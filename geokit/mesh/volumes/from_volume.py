@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from geokit.mesh._simplify import Simplified
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["from_volume", "from_volume_with_deviation"]
-
 METHODS = ("auto", "surface_nets", "marching_cubes", "dual_contouring", "openvdb")
 # No voxel has an index beyond this.
 LARGEST_INDEX = 2.0**31

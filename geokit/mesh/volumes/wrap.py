@@ -33,8 +33,6 @@ from geokit.mesh.topology.orientation import enclosing_pairs
 from geokit.mesh.volumes.from_volume import from_volume
 from geokit.volume.band.fields import THICKEST
 
-__all__ = ["Wrapped", "wrap"]
-
 # The isosurface lies this share of the tolerance away from the input, and voxels are as large as that share. A sheet
 # is nearer to some voxels around each of its points than their half diagonal, 0.87, so none slips between them. The two
 # differ, so that planes on the lattice do not put the isosurface on voxels.

@@ -6,8 +6,6 @@ import functools
 import importlib
 from types import ModuleType
 
-__all__ = ["parsers"]
-
 
 @functools.cache
 def parsers() -> ModuleType | None:

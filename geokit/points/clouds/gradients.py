@@ -16,8 +16,6 @@ from geokit.errors import InputError
 from geokit.points.gradients.distances import of_grid
 from geokit.points.neighbors.neighbor_grid import NeighborGrid
 
-__all__ = ["DENSITY"]
-
 
 def _kernel(asked: Asked) -> str:
     kernel: str = asked.arguments["kernel"]

@@ -10,8 +10,6 @@ from geokit.core.memory.unchecked import sort_pairs
 from geokit.core.scan import prefix_sum
 from geokit.errors import InputError
 
-__all__ = ["propagate_signs"]
-
 # Each edge is listed twice, and the lists are counted in int32.
 MAX_EDGES = 1 << 30
 # The number of an edge has 32 bits beside the 32 bits of its weight.

@@ -7,8 +7,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Step", "orthonormal", "plane_rank", "plane_step", "point_step"]
-
 # A motion that changes the distances from the planes by less than a millionth of itself is undetermined; the
 # eigenvalues are squares. Float64 sums leave about 1e-16 of canceled terms, data with six digits 1e-12.
 FREE_EIGENVALUE = 1e-12

@@ -13,8 +13,6 @@ from geokit.core.scan import flagged, gathered
 from geokit.points.neighbors.neighbor_grid import NeighborGrid
 from geokit.points.search.cells import survey
 
-__all__ = ["farthest_points", "poisson_disk_subset"]
-
 # Points whose rounded squared distance is at most the squared radius may be slightly farther apart than the radius: by
 # five roundings of it, and by squares that vanish.
 REACH_RELATIVE = 1e-15

@@ -14,8 +14,6 @@ from geokit.core.scan import gathered, prefix_sum
 from geokit.errors import InputError
 from geokit.points.search.cells import survey
 
-__all__ = ["VoxelOrder", "centroids_by_pieces", "require_resolved", "voxel_centroids"]
-
 # Beyond this, float64 does not represent consecutive whole voxel numbers.
 MOST_VOXELS_FROM_ORIGIN = 2.0**52
 # Most voxels of the bounding box that one 63-bit key can number.

@@ -19,8 +19,6 @@ from geokit.points.gradients.pair_slopes_kernels import PAIR_SLOPES
 # Rows that can be sorted by the point that they belong to: twice as many places, numbered with 31 bits.
 MOST_SUMMED = 2**30 - 1
 
-__all__ = ["BETWEEN", "BETWEEN_GROUPS", "IMAGES", "NEAREST", "WITHIN", "of_grid"]
-
 
 def _away(library: Library, queries: Any, points: Any, indices: Any) -> Any:
     """Distances of the queries (Q, 3) to the points with these indices (Q, k); 0 where there is none."""

@@ -40,14 +40,13 @@ from geokit.errors import DeviceMemoryError, InputError
 from geokit.points.search import radius as search
 from geokit.points.search.cells import Cells, build_cells, survey, usual_spacing
 from geokit.points.search.groups import build_group_cells, numbers_of, read_offsets, survey_groups, usual_spacing_of
-from geokit.points.search.nearest import KNearest, build_tree, nearest, require_k
+from geokit.points.search.nearest import KNearest, nearest, require_k
+from geokit.points.search.nearest_tree import build_tree
 from geokit.points.search.periodic import MOST_TURNS, Images, read_cell, sort_by_distance
 from geokit.points.search.verlet import VerletLists
 
 if TYPE_CHECKING:
     from geokit.points.neighbors.user_kernels import NeighborGrid as InKernels
-
-__all__ = ["Candidates", "KNearest", "NeighborBlock", "NeighborGrid", "NeighborList", "Neighbors", "Pairs"]
 
 # Cells are reused for query radii that differ from theirs by at most this factor: at worst 6 x 6 rows of cells are
 # read, or 8 times the volume of the best cells. Beyond it, the points are sorted again.

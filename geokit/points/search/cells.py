@@ -16,8 +16,6 @@ from geokit.core.memory import host_pool
 from geokit.core.memory.unchecked import sort_pairs
 from geokit.errors import InputError
 
-__all__ = ["Cells", "Survey", "build_cells", "survey", "usual_spacing"]
-
 # Each axis is cut into this many intervals with about equally many points. An interval too long for cells of the radius
 # gets longer cells of its own; the others keep theirs. Otherwise one far point, or clusters far apart, could leave a
 # crowd in a single cell.

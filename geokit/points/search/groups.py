@@ -18,8 +18,6 @@ from geokit.core.memory.struct_array import layout_of_struct, struct_array
 from geokit.errors import InputError
 from geokit.points.search.cells import FEW_CELLS, INTERVALS, Cells, Survey, frame, intervals, place, survey
 
-__all__ = ["Groups", "build_group_cells", "numbers_of", "read_offsets", "survey_groups", "usual_spacing_of"]
-
 # Groups with more points have intervals of cells, as a grid without groups has. A smaller one has equal cells: where
 # one far point leaves all others in one cell, a query compares this many.
 LARGE = 1 << 12

@@ -17,14 +17,11 @@ from geokit.core.require import described, whole_number
 from geokit.errors import InputError
 from geokit.points.search.nearest_tree import (
     blocks_in_order,
-    build_tree,
     curve_order,
     frame_of,
     group_order,
     group_spans,
 )
-
-__all__ = ["MAX_K", "KNearest", "build_tree", "nearest", "require_k"]
 
 # Longest list; for more neighbors radius_search is better suited.
 MAX_K = 1024

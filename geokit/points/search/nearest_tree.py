@@ -13,8 +13,6 @@ from geokit.core.launches import prepared
 from geokit.core.memory.unchecked import sort_pairs
 from geokit.core.scan import flagged, prefix_sum
 
-__all__ = ["blocks_in_order", "build_tree", "group_order", "group_spans"]
-
 # Points of the sample that sets the first frame. Points outside its box, about one in a thousand, are clamped to it.
 SAMPLE_SIZE = 4096
 # Number of key bits that the sort considers.

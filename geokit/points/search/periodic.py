@@ -18,8 +18,6 @@ from geokit.core.memory import available_memory, host_pool
 from geokit.core.scan import gathered, prefix_sum
 from geokit.errors import DeviceMemoryError, InputError
 
-__all__ = ["MOST_TURNS", "Images", "read_cell", "sort_by_distance"]
-
 # Flatter cells lose the digits of fractional coordinates: this bounds the ratio of the longest to the shortest stretch.
 FLATTEST = 1e8
 # Margin of fractional coordinates for their roundings, times that ratio. Images beyond the reach cost time only.

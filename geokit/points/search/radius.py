@@ -17,11 +17,6 @@ from geokit.points.search.cells import Cells, has_groups, sorted_keys
 if TYPE_CHECKING:
     from geokit.points.search.periodic import Images
 
-__all__ = [
-    "Asked", "blocks_of", "count", "crowding", "fill", "launch_shares", "notes_bytes", "points_of", "require_room",
-    "sort_by_distance",
-]  # fmt: skip
-
 # Bytes of an entry: int32 index and float64 distance.
 BYTES_PER_NEIGHBOR = 12
 # One flat array holds the neighbors of all queries, with int32 positions.

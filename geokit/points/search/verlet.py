@@ -20,8 +20,6 @@ from geokit.core.scan import gathered, row_offsets
 from geokit.points.search import radius as search
 from geokit.points.search.periodic import Images, sort_by_distance
 
-__all__ = ["VerletLists"]
-
 # Relative rounding of squared distances, their roots and motions, which is below 1e-15, with room to spare.
 ROUNDING = 1e-14
 # Squares of shorter motions and distances vanish.

@@ -16,8 +16,6 @@ from geokit.points._density import density
 from geokit.points._normals import planes, turn_towards
 from geokit.points.streamed.tiles import Tiles
 
-__all__ = ["Around", "Density", "Normals", "longest_reach", "smaller"]
-
 # Roundings of squared distances: points within a rounded radius are within this factor of it, and within that more.
 RELATIVE, ABSOLUTE = 1e-15, 1e-161
 # Points of a tile whose nearest points reach beyond the points around the tile: so many are looked up one by one.

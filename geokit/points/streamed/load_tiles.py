@@ -20,8 +20,6 @@ from geokit.formats.blocks.records import AT_A_TIME, BYTES_AT_A_TIME, work_folde
 from geokit.points.streamed.columns import Around, longest_reach, smaller
 from geokit.points.streamed.tiles import MOST_POINTS, OWN_SHARE, ROW, Tiles, known_of
 
-__all__ = ["PointTile", "load_tiles"]
-
 # Memory for a point, with some 30 neighbors that the caller finds for it.
 BYTES_PER_POINT = 1000
 

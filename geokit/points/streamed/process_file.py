@@ -47,8 +47,6 @@ from geokit.points.streamed.tiles import (
     type_of,
 )
 
-__all__ = ["ProcessedFile", "process_file"]
-
 # Share of the free memory of a GPU that is taken.
 DEVICE_SHARE = 0.5
 # Parts of the work, of 100, after which the points are known, and downsampled, and their arrays are there.

@@ -17,8 +17,6 @@ from geokit.formats.blocks.points import Block
 from geokit.formats.blocks.records import Buckets, Known, RecordFile, append, survey
 from geokit.formats.columns import Columns
 
-__all__ = ["MOST_POINTS", "OWN_SHARE", "ROW", "Tiles", "blocks_of", "known_of", "records_of", "sample_of", "type_of"]
-
 # A point in a tile: its row among all points.
 ROW = np.dtype([("row", np.int64), ("points", np.float64, (3,))])
 # Points that are in memory at most: kernels count them in 32 bits, and more would not be faster.

@@ -17,21 +17,6 @@ from geokit.errors import InputError
 from geokit.formats.attributes.images import pixel_count
 from geokit.render.looks.color_maps import HELD
 
-__all__ = [
-    "DIVERGING",
-    "FLAT",
-    "SEQUENTIAL",
-    "chart_bytes",
-    "checked_colormap",
-    "checked_label",
-    "checked_size",
-    "checked_target",
-    "checked_values",
-    "figure_bytes",
-    "require_drawable",
-    "value_range",
-]
-
 # Perceptually uniform, readable in gray and by most color-blind readers.
 SEQUENTIAL = "viridis"
 # For signed quantities: white at zero.

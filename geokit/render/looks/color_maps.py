@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from geokit._packages import require_package
 
-__all__ = ["HELD", "color_table"]
-
 SIZE = 256
 # Matplotlib's maps of these names, as differences between one color and the next, modulo 256: zlib in base 85.
 HELD = ("viridis", "RdBu_r", "coolwarm", "magma", "turbo", "gray")

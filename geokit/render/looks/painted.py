@@ -19,19 +19,6 @@ if TYPE_CHECKING:
     from geokit.mesh.model.data import Material
     from geokit.mesh.model.triangle_mesh import TriangleMesh
 
-__all__ = [
-    "SURFACE_COLOR",
-    "Painted",
-    "bytes_of",
-    "corner_alpha",
-    "corner_colors",
-    "is_painted",
-    "own_colors",
-    "painted",
-    "shaded",
-    "surface_of",
-]
-
 # Of a mesh without colors of its own.
 SURFACE_COLOR = "#b9c4cf"
 # Edges sharper than this [degrees] stay sharp under smooth shading.

@@ -9,8 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Arrays"]
-
 # Compressed arrays that keep more than this share of their bytes are stored as they are: reading them is quicker.
 WORTH = 0.95
 # A higher level makes the page a few percent smaller and takes several times as long.

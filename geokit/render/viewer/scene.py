@@ -27,8 +27,6 @@ from geokit.volume.model.sparse_volume import SparseVolume
 if TYPE_CHECKING:
     from geokit.render.viewer.arrays import Arrays
 
-__all__ = ["read_thing", "scene_record"]
-
 _RED, _GREEN, _BLUE = bytes.fromhex(SURFACE_COLOR[1:])
 PLAIN = (_RED / 255.0, _GREEN / 255.0, _BLUE / 255.0)
 # Arrays of a cloud that are its colors, if they have three or four columns.

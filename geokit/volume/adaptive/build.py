@@ -19,8 +19,6 @@ from geokit.volume.retyped.quantize import quantize
 from geokit.volume.tree.device_leaves import build_leaves
 from geokit.volume.tree.grid_head import checked_head
 
-__all__ = ["build_band_level", "build_finer_level"]
-
 
 def build_band_level(lattice: CellLattice, storage: Storage, name: str) -> SparseVolume:
     """Build level 0, a level set: exact distances at all voxels that interpolation in the zone needs."""

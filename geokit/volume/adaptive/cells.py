@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from geokit.mesh.model.triangle_mesh import TriangleMesh
     from geokit.mesh.surfaces.surface import Surface
 
-__all__ = ["CORNERS", "CellLattice", "contains", "examine", "near_cells", "spread_keys"]
-
 # Offsets of a cell's voxels, z fastest.
 CORNERS = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1).reshape(-1, 3)
 # Half the diagonal of a unit cell, with a margin for rounding.

@@ -13,8 +13,6 @@ from geokit.volume.tolerance.zone import rounding_of
 if TYPE_CHECKING:
     from geokit.mesh.model.triangle_mesh import TriangleMesh
 
-__all__ = ["DRAWN_POINTS", "CheckPoints", "check_points"]
-
 # Points of a round: as many along edges as on faces, and half as many at vertices, because interpolants are worst on
 # creases. On meshes of tiny faces the three kinds hardly differ.
 FACE_POINTS = 100_000

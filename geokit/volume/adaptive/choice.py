@@ -11,8 +11,6 @@ from geokit.volume.adaptive.level_sizes import ORDERS, Choice, choose
 from geokit.volume.adaptive.storage import Storage
 from geokit.volume.tolerance.search import Search, Setting, quickest
 
-__all__ = ["CLOSE", "WORTH_LEVELS", "LevelsOrOne", "fewer_bytes", "levels_of", "levels_or_one"]
-
 # Several levels must promise at most this share of the bytes of one voxel size: they are slower to read.
 WORTH_LEVELS = 0.95
 # Bytes of one voxel size are predicted to a quarter. Levels below CLOSE of the prediction are surely the smaller, those

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     from geokit.mesh.model.triangle_mesh import TriangleMesh
     from geokit.mesh.surfaces.surface import Surface
 
-__all__ = ["ORDERS", "Choice", "band_lattice", "choose"]
-
 # Orders of interpolation in the order of trial. Order 3 is mostly the best, and its bytes end the exploration of the
 # other early. Order 2 has the reach of order 3 and larger errors; it was never the best.
 ORDERS = (3, 1)

@@ -18,8 +18,6 @@ from geokit.volume.adaptive.storage import ACCEPTED_SHARE, Storage
 from geokit.volume.band.place_keys import keys_of, places_of
 from geokit.volume.nanovdb.layout import layout_of
 
-__all__ = ["FLOAT", "LEAF", "Refinement", "grid_bytes"]
-
 # Bytes of a cell while it is examined: its key, its halves' keys, the distances at its voxels.
 CELL_BYTES = 1000
 # The sharpest creases exceed the limit in cells of 1.5 times its size, and spikes in slightly smaller ones. If cells of

@@ -11,8 +11,6 @@ from geokit.volume.nanovdb.layout import LAYOUTS, LEAF_VOXELS, QUANTIZED_HEADER
 from geokit.volume.nanovdb.types import FIXED_BITS
 from geokit.volume.tolerance.interpolation_errors import STENCILS
 
-__all__ = ["ACCEPTED_SHARE", "Storage"]
-
 # Share of the tolerance up to which a cell is accepted. Between the checked places the error is a little larger, and
 # each cell that fails a later check costs another round.
 ACCEPTED_SHARE = 0.97

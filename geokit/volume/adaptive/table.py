@@ -15,8 +15,6 @@ from geokit.volume.nanovdb.layout import GRID_TYPES, layout_of
 from geokit.volume.sampling.leaf_table import SPAN, _make
 from geokit.volume.tolerance.interpolation_errors import STENCILS
 
-__all__ = ["AdaptiveTable", "adaptive_table", "shifts_of"]
-
 # Tolerance on the steps between levels, as a share of a voxel: files may store transforms as decimal or binary doubles.
 SAME = 1e-6
 # Words of 32 cells per leaf.

@@ -12,8 +12,6 @@ from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.sampling.space import query_inputs, require_space
 from geokit.volume.tree.leaves import require_volume
 
-__all__ = ["active_at"]
-
 
 # A point takes less time than its copy to another device.
 @query("points", is_replayed=True, is_stepped=True, least_rows=FIRST_ALONE, row_bytes=5)

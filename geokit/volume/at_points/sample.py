@@ -27,8 +27,6 @@ from geokit.volume.tree.leaves import require_volume
 if TYPE_CHECKING:
     from geokit.volume.at_points.user_kernels import SparseVolume as InKernels
 
-__all__ = ["gradient", "is_scalar", "on_kernel", "require_order", "sample", "view_as"]
-
 # A kernel may ask any number of points: the table that saves each of them some time is made at once.
 MANY = 1 << 40
 ORDERS = {0: "nearest voxel", 1: "trilinear", 2: "triquadratic", 3: "tricubic"}

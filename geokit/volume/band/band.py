@@ -21,8 +21,6 @@ from geokit.volume.tree.grid_head import GridHead
 if TYPE_CHECKING:
     from geokit.core.memory.host_array import HostArray
 
-__all__ = ["Band", "BandShape", "build_band", "build_triangle_ids", "make_band"]
-
 # Voxels nearer to a closed surface than this share of the band's width are on it, and count as outside.
 ON_SURFACE = 1e-12
 # A launch counts its threads in 31 bits; longer launches would gain nothing.

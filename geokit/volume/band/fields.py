@@ -31,18 +31,6 @@ if TYPE_CHECKING:
     from geokit.volume.band.band import Band
     from geokit.volume.tree.device_writer import BuiltGrid
 
-__all__ = [
-    "TrimmedSurface",
-    "band_metadata",
-    "grid_head",
-    "half_widths",
-    "in_float32",
-    "mesh_metadata",
-    "resolve_surface",
-    "source_of",
-    "volume_from_built",
-]
-
 # Thickest shell, in lengths of the mesh's longest edge of its bounding box: float32 sees a point in the middle of it.
 THICKEST = 1e6
 # Surface inside of a body that crosses itself stays this far from where it does, as a share of a voxel, or of the

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from geokit.core.interop import user_arrays
 from geokit.errors import InputError
 
-__all__ = ["checked_band", "index_translation"]
-
 # Beyond this index the float32 coordinates of warp's own volume functions are coarser than 1/16 voxel.
 LARGEST_CENTERED_INDEX = 1 << 20
 LEAF = 8

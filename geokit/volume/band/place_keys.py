@@ -7,8 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["KEY_BITS", "keys_of", "places_of"]
-
 # Bits of a coordinate, which is not negative.
 KEY_BITS = 21
 

@@ -17,8 +17,6 @@ from geokit.core.base.late_warp import wp
 from geokit.volume.band.place_keys import keys_of, places_of
 from geokit.volume.band.tiles import LEAF_BYTES, MOST_TILES, TILE_VOXELS, WORKING_BYTES, Lattice, Tiles, in_grid_order
 
-__all__ = ["beyond_signs", "keep_sign_changes", "with_sign_changes"]
-
 # Tiles that are tested at a time: 43 MB of points.
 TILES_AT_A_TIME = 1 << 15
 # The six neighbors of a tile.

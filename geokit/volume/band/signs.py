@@ -20,8 +20,6 @@ from geokit.volume.band.tiles import Lattice
 if TYPE_CHECKING:
     from geokit.volume.band.band import Band
 
-__all__ = ["inside_bits", "lost_components"]
-
 # The distances of two neighbors on either side of a wall perpendicular to their link add up to exactly one voxel.
 # Rounded to float32 they may add up to a little more, and a flood must not pass there.
 FLOOD_MARGIN = 1.00001

@@ -20,17 +20,6 @@ from geokit.volume.band.lattice_origin import index_translation
 if TYPE_CHECKING:
     from geokit.mesh.surfaces.surface import Surface
 
-__all__ = [
-    "LEAF_BYTES",
-    "MOST_TILES",
-    "TILE_VOXELS",
-    "WORKING_BYTES",
-    "Lattice",
-    "Tiles",
-    "in_grid_order",
-    "near_tiles",
-]
-
 # Most tiles along an axis: they fit into 2^12 upper nodes of 512 tiles wherever the first starts. A key has 12 bits for
 # an upper node's coordinate.
 MOST_TILES = (1 << 21) - 1024

@@ -19,8 +19,6 @@ from geokit.errors import DeviceMemoryError
 from geokit.volume.nanovdb.nodes import bits_of, slot_of, slot_places
 from geokit.volume.tree.typed_tree import RowTable, TypedTree
 
-__all__ = ["CELL_SPANS", "Labels", "Rows", "active_rows", "inside_rows", "label_components"]
-
 # Voxels along an edge of a cell: a voxel, and the tiles of lower nodes, upper nodes and the root.
 CELL_SPANS = (1, 8, 128, 4096)
 # Cells are numbered by int32.

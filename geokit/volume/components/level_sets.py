@@ -26,8 +26,6 @@ from geokit.volume.tree.leaves import voxelized
 from geokit.volume.tree.typed_tree import RowTable, TypedTree, tree_of
 from geokit.volume.tree.typed_writer import Tiles
 
-__all__ = ["split_level_set"]
-
 # Voxels within which outside voxels are compared with voxels inside, to tell whose distance they hold.
 TRUST_REACHES = (1, 2, 3)
 # Layers of voxels outside to which values are extrapolated: the corners of crossed cells, and their neighbors.

@@ -19,8 +19,6 @@ from geokit.volume.tree.grid_head import head_like, result_head, volume_from_buf
 from geokit.volume.tree.typed_tree import Nodes, TypedTree, tree_of_leaves
 from geokit.volume.tree.typed_writer import Tiles, build_grid, build_grids
 
-__all__ = ["label_volume", "split_active", "tiles_of", "volumes_of"]
-
 # Leaves and grids that are built together: 16 MiB of floats, and 8 MiB of nodes without their tables.
 LEAVES_AT_A_TIME, GRIDS_AT_A_TIME = 8192, 1024
 # Bytes of a grid's nodes that are written, if the background is zero: heads, and a page of each table.

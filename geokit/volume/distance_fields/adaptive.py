@@ -44,8 +44,6 @@ from geokit.volume.tolerance.zone import THIN, rounding_of
 if TYPE_CHECKING:
     from geokit.mesh.surfaces.surface import Surface
 
-__all__ = ["LEVEL", "LEVEL_COUNT", "AdaptiveSDF", "adaptive_from_mesh", "load_adaptive"]
-
 # Largest number of levels, if the caller does not say.
 MOST_LEVELS = 12
 LEVEL = "geokit:level"

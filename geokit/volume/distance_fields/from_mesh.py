@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from geokit.mesh.model.triangle_mesh import TriangleMesh
     from geokit.mesh.surfaces.surface import Surface
 
-__all__ = ["MeshBand", "from_mesh", "from_mesh_with_triangles"]
-
 METHODS = ("geokit", "openvdb")
 DEFAULT_HALF_WIDTH = 3.0
 # Memory for each leaf of a band, with its distances, tiles and nodes; OpenVDB keeps more, and so do nearest triangles.

@@ -22,8 +22,6 @@ from geokit.volume.tolerance.search import Search, Setting, quickest
 if TYPE_CHECKING:
     from geokit.mesh.surfaces.surface import Surface
 
-__all__ = ["PlannedField", "plan"]
-
 # Leaves of the small band that is built to measure the time.
 TIMED_LEAVES = 2000.0
 # Of the time of a plan, about the part before several voxel sizes are tried.

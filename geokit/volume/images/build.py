@@ -30,8 +30,6 @@ from geokit.volume.tree.grid_head import GridHead, checked_head
 from geokit.volume.tree.typed_tree import TypedTree, tree_of_leaves
 from geokit.volume.tree.typed_writer import build_grid
 
-__all__ = ["info_of_image", "volume_of_image"]
-
 # A value is taken for the background if more than this share of the first slice's border has it.
 LEAST_SHARE = 0.5
 INT32 = np.iinfo(np.int32)

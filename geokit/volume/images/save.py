@@ -24,8 +24,6 @@ from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.provenance import SPACE, UNIT, world_metadata
 from geokit.volume.nanovdb.types import QUANTIZED
 
-__all__ = ["save_image"]
-
 # Reads a box (2, 3) of voxels.
 Read = Callable[[NDArray[np.int64]], NDArray[Any]]
 

@@ -38,8 +38,6 @@ from geokit.volume.nanovdb.provenance import METERS_PER_UNIT, UNIT, world_metada
 from geokit.volume.tree.grid_head import root_spans
 from geokit.volume.tree.statistics import NO_BOX
 
-__all__ = ["StageField", "has_volumes_only", "named_field", "opened", "placed", "placed_info", "save_stage"]
-
 _READER = "geokit.formats.usd_volumes"
 # USD's name of a grid's type by geokit's; the role of vectors.
 _TYPES = {"vec3f": ("float3", "Raw"), "vec3d": ("double3", "Raw"), "int32": ("int", ""), "int64": ("int64", "")}

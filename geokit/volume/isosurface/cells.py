@@ -20,8 +20,6 @@ from geokit.volume.isosurface.nodes import Topology, topology_of
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.nodes import slot_places
 
-__all__ = ["CrossedCells", "crossed_cells"]
-
 # Byte offset of the voxels in a leaf of floats.
 FLOAT_TABLE = 96
 # Bytes of a block while its cells are found: planes, neighbors, places.

@@ -14,8 +14,6 @@ from geokit.core.memory.device_arena import Scratch, ScratchArray
 from geokit.core.memory.pinned import host_arrays
 from geokit.errors import DeviceMemoryError
 
-__all__ = ["GRAIN", "PLANES", "fill_offsets", "launch_even", "launch_planes", "require_memory", "used_only"]
-
 # Planes of 64 cells in a block.
 PLANES = 8
 # Vertices and faces are numbered by int32.

@@ -21,8 +21,6 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["loop_table", "loops_of", "problem_face", "sum_table", "triangle_table"]
-
 CORNERS = tuple(product((0, 1), repeat=3))
 # Corners at the ends of each edge, the lower one first.
 EDGES = tuple(

@@ -23,8 +23,6 @@ from geokit.volume.nanovdb.upload import above_leaves
 from geokit.volume.tree.estimates import require_host_room
 from geokit.volume.tree.grid_head import root_keys_of
 
-__all__ = ["LargeTileBorders", "Topology", "large_tile_borders", "topology_of"]
-
 # Steps to the neighbors of a tile across its faces.
 AROUND = np.concatenate([np.eye(3, dtype=np.int32), -np.eye(3, dtype=np.int32)])
 # Bytes of a block at a border: its place here, sorted and on the device.

@@ -20,8 +20,6 @@ from geokit.volume.model.sparse_volume import SparseVolume
 if TYPE_CHECKING:
     from geokit.core.memory.host_array import HostArray
 
-__all__ = ["marching_cubes", "surface_nets"]
-
 # Flags of the count: some cells may need a joined face, some vertices may be unused.
 HAS_PROBLEM, HAS_DEAD = 0, 1
 

@@ -19,8 +19,6 @@ from geokit.volume.tree.leaves import LEAF_VOXELS, Leaves, dequantized, require_
 from geokit.volume.tree.typed_tree import VALUE_TYPES, TypedTree, differs, tree_of, voxelized_tree
 from geokit.volume.tree.typed_writer import rebuilt
 
-__all__ = ["NEIGHBORS", "changed_topology"]
-
 NEIGHBORS = ("faces", "edges", "vertices")
 # Voxels of dilation before leaves are added: it must not reach beyond the adjacent leaves.
 STAGE = 8

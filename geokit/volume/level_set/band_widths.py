@@ -18,8 +18,6 @@ from geokit.volume.tree.grid_head import result_head, volume_from_buffer
 from geokit.volume.tree.leaves import build_real_grid, dequantized
 from geokit.volume.tree.typed_tree import RowTable, tree_of
 
-__all__ = ["BAND_TOLERANCE", "BandWidths", "widths_of", "with_widths"]
-
 # Bands whose widths differ by less count as equal: a background is a float32 product of voxel size and half width.
 BAND_TOLERANCE = 1e-5
 # Active values of a band exceed its background by no more: files in half precision round values by 2^-11 of them.

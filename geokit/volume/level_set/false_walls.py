@@ -21,8 +21,6 @@ from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.nanovdb.nodes import grid_nodes, set_bits, slot_places
 from geokit.volume.tree.leaves import assemble, dequantized, leaves_of
 
-__all__ = ["Operand", "without_false_walls"]
-
 # Voxels this near to both surfaces are looked at [voxels]; of a wall in any direction some are.
 NEAR = 1.0
 # Surfaces whose normals have a product below this are back to back.

@@ -17,8 +17,6 @@ from geokit.volume.nanovdb.types import QUANTIZED
 from geokit.volume.tree.estimates import require_places
 from geokit.volume.tree.leaves import Leaves, leaves_of, voxelized
 
-__all__ = ["LinkedLeaves"]
-
 # Most leaves: elements are numbered by int32.
 MOST_LEAVES = (1 << 31) // 512 - 1
 # Bytes of a row while distances are computed: value, distance, slope, result, its feature twice, bits, and the grid.

@@ -12,8 +12,6 @@ from geokit.volume.level_set.redistance import redistance
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.tree.leaves import require_volume, uniform_voxel_size
 
-__all__ = ["require_level_set", "with_band"]
-
 
 def require_level_set(volume: Any, name: str) -> float:
     """Check for a level set with cubic voxels, and return its voxel size.

@@ -24,8 +24,6 @@ from geokit.volume.tree.estimates import least_leaves
 from geokit.volume.tree.grid_head import checked_head, info_like, result_head, volume_from_buffer
 from geokit.volume.tree.leaves import build_real_grid
 
-__all__ = ["Band", "redistance"]
-
 # Voxels by which a band grows before leaves are added. With one more for rounding it must not grow beyond the leaves
 # adjacent to those that it has reached.
 STAGE = 7.0

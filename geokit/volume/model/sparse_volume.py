@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from geokit.volume._raycast import VolumeHits
     from geokit.volume.at_points.user_kernels import SparseVolume as InKernels
 
-__all__ = ["SparseVolume"]
-
 
 @dataclass(frozen=True, eq=False)
 class SparseVolume:

@@ -20,8 +20,6 @@ from geokit.volume.nanovdb.nodes import GridNodes, NodeLevel, bits_of, grid_node
 if TYPE_CHECKING:
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["check_grid", "check_head", "check_volume", "mark_checked"]
-
 _CHECKED = "checked"
 
 # The widest FpN code is 16 bits; a leaf stores the logarithm of its width.

@@ -19,8 +19,6 @@ from geokit.volume.nanovdb.header import HEAD_SIZE, MAJOR_VERSION, TREE_OFFSET, 
 from geokit.volume.nanovdb.layout import GridLayout, layout_of
 from geokit.volume.nanovdb.nodes import grid_nodes
 
-__all__ = ["checksum_matches", "checksum_mode", "full_checksum", "partial_checksum"]
-
 EMPTY = 0xFFFFFFFF
 # The magic number and the checksum itself are not part of the sum.
 HEAD_START = 16

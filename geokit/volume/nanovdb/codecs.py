@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 from geokit._packages import require_package
 from geokit.errors import FileFormatError
 
-__all__ = ["CODECS", "Fetch", "compress_into", "decompress", "decompress_head", "largest_size"]
-
 # In the order of their codes in the file.
 CODECS = ("none", "zip", "blosc")
 

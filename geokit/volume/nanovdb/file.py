@@ -45,8 +45,6 @@ from geokit.volume.nanovdb.layout import GRID_TYPES, INDEX_LAYOUTS
 from geokit.volume.nanovdb.metadata import metadata_of, without_metadata
 from geokit.volume.nanovdb.part import Part
 
-__all__ = ["FILE_HEADER", "FILE_METADATA", "NvdbGrid", "inspect", "names", "read", "read_part"]
-
 FILE_HEADER = np.dtype([("magic", "<u8"), ("version", "<u4"), ("grid_count", "<u2"), ("codec", "<u2")])
 FILE_METADATA = np.dtype(
     [

@@ -16,8 +16,6 @@ from geokit.core.download import bytes_of
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["array_of", "copied_grid", "empty_grid", "made_volume"]
-
 LARGEST_ARRAY = (1 << 31) - 1
 
 

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from geokit.volume.nanovdb.provenance import ACHIEVED_999, ACHIEVED_ERROR, ORDER, TOLERANCE, known_number, world_of
 
-__all__ = ["GridInfo"]
-
 
 @dataclass(frozen=True, eq=False)
 class GridInfo:

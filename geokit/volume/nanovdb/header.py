@@ -23,15 +23,6 @@ from geokit.volume.nanovdb.grid_info import GridInfo
 from geokit.volume.nanovdb.layout import GRID_TYPES, LAYOUTS, GridLayout, layout_of, type_name
 from geokit.volume.nanovdb.types import BY_NAME, GRID_CLASSES
 
-__all__ = [
-    "FLAG_BREADTH_FIRST", "FLAG_HAS_BBOX", "FLAG_HAS_MIN_MAX", "FLAG_LONG_NAME", "GRID_CLASSES", "GRID_DATA",
-    "HEAD_SIZE", "MAGIC_FILE", "MAGIC_GRID", "MAGIC_OLD", "MAJOR_VERSION", "REMEDY", "TREE_DATA", "TREE_OFFSET",
-    "Damage", "GridOptions", "aligned_buffer", "checked_options", "checked_transform", "damage_named", "decoded_name",
-    "encoded_name", "grid_class_code", "grid_header", "grid_name", "info_of", "is_aligned", "is_singular",
-    "require_header", "require_supported", "tree_header", "value_range", "version_text", "voxel_size_of",
-    "write_header", "write_transform",
-]  # fmt: skip
-
 # A buffer should start at a 32-byte boundary and at a cache line; the latter is the larger.
 BUFFER_ALIGNMENT = 64
 MAJOR_VERSION = 32

@@ -18,8 +18,6 @@ from geokit.volume.nanovdb.header import FLAG_BREADTH_FIRST, Damage, grid_header
 from geokit.volume.nanovdb.layout import INDEX_LAYOUTS, LEAF_VOXELS, GridLayout, type_name
 from geokit.volume.nanovdb.nodes import GridNodes, NodeLevel, bits_of
 
-__all__ = ["check_indices", "index_layout", "leaf_offsets", "value_count_of"]
-
 # First version, packed as in NanoVDB, whose leaves have an offset and prefix sums.
 FIRST_VERSION = 32 << 21 | 6 << 10
 LEAF_FLAGS = 15

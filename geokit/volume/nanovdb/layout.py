@@ -18,20 +18,6 @@ import numpy as np
 from geokit.errors import UnsupportedGridError
 from geokit.volume.nanovdb.types import BY_NAME, GRID_TYPES, INDEX_TYPES, GridType
 
-__all__ = [
-    "ALIGNMENT",
-    "GRID_TYPES",
-    "INDEX_LAYOUTS",
-    "LAYOUTS",
-    "LEAF_VOXELS",
-    "LOWER_SLOTS",
-    "QUANTIZED_HEADER",
-    "UPPER_SLOTS",
-    "GridLayout",
-    "layout_of",
-    "type_name",
-]
-
 ALIGNMENT = 32
 UPPER_SLOTS = 32**3
 LOWER_SLOTS = 16**3

@@ -33,8 +33,6 @@ from geokit.volume.nanovdb.checksum import LAST_OLD_VERSION, checksum_mode, full
 from geokit.volume.nanovdb.header import BLIND_DATA, HEAD_SIZE, Damage, damage_named, grid_header
 from geokit.volume.nanovdb.layout import ALIGNMENT
 
-__all__ = ["CHANNEL", "body_with_metadata", "metadata_of", "without_metadata"]
-
 CHANNEL = b"geokit:metadata"
 # JSON expands to objects of some thirty times its size: a damaged length must not exhaust memory.
 LARGEST_TEXT = 16 << 20

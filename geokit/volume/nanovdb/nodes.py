@@ -19,11 +19,6 @@ from numpy.typing import NDArray
 from geokit.volume.nanovdb.header import TREE_OFFSET, grid_header, tree_header
 from geokit.volume.nanovdb.layout import INDEX_LAYOUTS, LEAF_VOXELS, GridLayout, layout_of, type_name
 
-__all__ = [
-    "GridNodes", "NodeLevel", "NodePlaces", "bits_of", "grid_nodes", "root_origins", "set_bits", "slot_of",
-    "slot_places",
-]  # fmt: skip
-
 # Nodes processed together: the slots of 64 upper nodes are 16 MiB.
 NODES_AT_A_TIME = 64
 

@@ -13,8 +13,6 @@ from geokit.volume.nanovdb.header import HEAD_SIZE, TREE_OFFSET, Damage, aligned
 from geokit.volume.nanovdb.layout import GridLayout
 from geokit.volume.nanovdb.nodes import GridNodes, NodeLevel, grid_nodes, root_origins, set_bits, slot_places
 
-__all__ = ["Part"]
-
 
 class Part:
     """The nodes of a grid that meet a box.

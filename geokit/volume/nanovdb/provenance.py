@@ -40,23 +40,6 @@ from geokit.formats.images.image import METERS
 if TYPE_CHECKING:
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = [
-    "ACHIEVED_999",
-    "ACHIEVED_ERROR",
-    "ORDER",
-    "SPACE",
-    "TOLERANCE",
-    "UNIT",
-    "VOXEL_SIZE",
-    "content_hash",
-    "known_number",
-    "provenance",
-    "with_error",
-    "with_more",
-    "world_metadata",
-    "world_of",
-]
-
 SOURCE = "geokit:source"
 SOURCE_HASH = "geokit:source_sha256"
 VOXEL_SIZE = "geokit:voxel_size"

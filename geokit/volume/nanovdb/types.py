@@ -18,26 +18,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-__all__ = [
-    "BY_NAME",
-    "CHANNEL_TYPES",
-    "CLASS_TYPES",
-    "COMPONENTS",
-    "FIXED_BITS",
-    "FLOAT",
-    "GRID_CLASSES",
-    "GRID_TYPES",
-    "INDEX_TYPES",
-    "ISOSURFACE_TYPES",
-    "QUANTIZED",
-    "SCALAR_TYPES",
-    "TYPES",
-    "WHOLE_TYPES",
-    "WHOLE_VECTOR_TYPES",
-    "Family",
-    "GridType",
-]
-
 Family = Literal["none", "float", "quantized", "integer", "bool", "mask", "vector", "color", "index", "point"]
 
 # In the order of NanoVDB's class codes.

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["above_leaves", "download", "upload"]
-
 
 def upload(volume: SparseVolume, device: Any = None) -> "wp.Volume":
     """Upload a grid to a device as a warp.Volume, which is cached with the volume.

@@ -34,8 +34,6 @@ from geokit.volume.nanovdb.metadata import body_with_metadata
 if TYPE_CHECKING:
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["file_metadata", "file_version", "segment_start", "write"]
-
 # The last grid type and the number of grid classes that 32.4 has with the same layout as later versions.
 LAST_OLD_TYPE = 18
 OLD_CLASSES = 9

@@ -14,8 +14,6 @@ from geokit.core.launches import captured, prepared
 from geokit.volume.model.sparse_volume import SparseVolume
 from geokit.volume.rays.ray_field import LEAF_SPAN, anchor_of, stored_box
 
-__all__ = ["CrossingBlocks", "crossing_blocks", "known_blocks"]
-
 # Testing a block takes about a fourth of the time of a ray. With fewer rays the search does not pay.
 BLOCKS_PER_RAY = 4
 # Most blocks that are tested: twelve bytes each, 192 MiB. Wider grids are traversed without this table.

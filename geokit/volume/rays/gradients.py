@@ -22,8 +22,6 @@ from geokit.volume.tree.leaves import value_places
 if TYPE_CHECKING:
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["INTEGRATE"]
-
 
 class _Walk:
     """The rays of a call and its grids, as kernels take them."""

@@ -14,8 +14,6 @@ from geokit.volume.nanovdb.checks import check_volume
 from geokit.volume.nanovdb.nodes import bits_of, grid_nodes, root_origins
 from geokit.volume.nanovdb.types import SCALAR_TYPES
 
-__all__ = ["LEAF_SPAN", "anchor_of", "ray_field", "stored_box"]
-
 # Voxels this near the ends of int32 count as background, because borders of blocks must be int32 numbers too.
 OUTERMOST_VOXEL = 2**31 - 16
 # Edges [voxels] of a root entry's region and of a leaf.

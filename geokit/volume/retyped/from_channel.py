@@ -32,8 +32,6 @@ from geokit.volume.tree.estimates import leaf_count
 from geokit.volume.tree.leaves import require_volume
 from geokit.volume.tree.retype_tree import retype_tree
 
-__all__ = ["channel_names", "from_channel"]
-
 # Leaves filled at a time: the values of 1024 leaves of vec4d are 16 megabytes.
 LEAVES_AT_A_TIME = 1024
 

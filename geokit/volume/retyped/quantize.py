@@ -21,8 +21,6 @@ from geokit.volume.tree.leaf_codecs import HEADER, LeafReader, fewest_bits, thre
 from geokit.volume.tree.leaves import require_volume
 from geokit.volume.tree.retype_tree import retype_tree, tile_values
 
-__all__ = ["quantize"]
-
 CODECS = ("float", *QUANTIZED)
 SOURCES = ("float", "double", *QUANTIZED)
 # Kernels report a larger value than this if the span of a leaf's values exceeds float32.

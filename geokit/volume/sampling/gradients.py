@@ -27,8 +27,6 @@ from geokit.volume.sampling.space import SPACES, world_to_index
 from geokit.volume.sampling.trilinear_table import sample_and_slopes
 from geokit.volume.tree.leaves import assemble, leaves_of
 
-__all__ = ["ADAPTIVE", "GRADIENT", "RAYCAST", "SAMPLE"]
-
 # First voxel of the stencil of each order, from the voxel below the point.
 BEGIN = {1: 0, 2: -1, 3: -1}
 

@@ -13,8 +13,6 @@ from geokit.volume.sampling import quadratic_kernels as quadratic
 from geokit.volume.sampling import sample_kernels as low
 from geokit.volume.sampling import staggered_kernels as staggered
 
-__all__ = ["query_kernel"]
-
 _OF_ONE_ORDER = {
     ("sample", 0): low.SAMPLE_NEAREST,
     ("sample", 1): low.SAMPLE_LINEAR,

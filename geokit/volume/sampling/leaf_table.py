@@ -14,8 +14,6 @@ from geokit.core.memory.available_memory import available
 if TYPE_CHECKING:
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["leaf_table", "made_table"]
-
 # Filling an entry takes a quarter of the time of a query through the tree, and the table saves half of a query's time.
 # So the table pays once it has at most this many entries per query so far.
 ENTRIES_PER_QUERY = 2

@@ -14,8 +14,6 @@ from geokit.core.memory.row_products import row_product
 from geokit.errors import InputError
 from geokit.volume.nanovdb.layout import LEAF_VOXELS
 
-__all__ = ["filled_leaves", "target_leaves", "way_between"]
-
 # Leaves that are sampled at a time: a quarter of a million points, 13 MB with their values.
 LEAVES_AT_A_TIME = 512
 # Voxel indices are int32; the margin leaves room for stencils at both ends.

@@ -13,8 +13,6 @@ from geokit.volume.model.sparse_volume import SparseVolume
 if TYPE_CHECKING:
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["SPACES", "query_inputs", "require_space", "world_to_index"]
-
 SPACES = ("world", "index")
 
 

@@ -16,8 +16,6 @@ from geokit.volume.sampling.space import world_to_index
 if TYPE_CHECKING:
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["gradient_linear", "sample_and_slopes", "sample_linear"]
-
 # Fewest groups of queries per thread.
 GRAIN = 16
 

@@ -29,8 +29,6 @@ from geokit.volume.streamed.windings import AT_A_TIME, ColumnWindings
 from geokit.volume.tree.device_leaves import build_leaves
 from geokit.volume.tree.grid_head import GridHead
 
-__all__ = ["CellBands"]
-
 # Memory for each triangle of a cell, with its tree and winding numbers, and for each leaf, until it is on disk.
 BYTES_PER_TRIANGLE, BYTES_PER_LEAF = BYTES_PER_FACE + 300, 10000
 # Voxels along an edge of the largest cell that is made at once.

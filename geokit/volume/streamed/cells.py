@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from geokit.formats.blocks.records import Buckets, RecordFile
 from geokit.volume.streamed.windings import Coordinates, CornerWindings, extent, in_parts
 
-__all__ = ["Cell", "CellLattice", "smaller", "split"]
-
 # Voxels along an edge of a lower node and of a leaf: a grid's parts are whole lower nodes.
 LOWER_SPAN, LEAF_SPAN = 128, 8
 # A cell is split into this many along each axis.

@@ -37,8 +37,6 @@ from geokit.volume.streamed.survey import Survey, survey
 from geokit.volume.streamed.windings import AT_A_TIME
 from geokit.volume.tree.grid_head import checked_head
 
-__all__ = ["from_mesh_file"]
-
 # Cells along an axis of the whole band, before any is split.
 MOST_CELLS = 4
 

@@ -21,8 +21,6 @@ from geokit.volume.nanovdb.write import file_metadata, file_version, segment_sta
 from geokit.volume.tree.flood_signs import face_signs, flood
 from geokit.volume.tree.grid_head import GridHead, Places, places_of, root_keys_of, write_head, write_root
 
-__all__ = ["GridParts"]
-
 INT32 = np.iinfo(np.int32)
 
 

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from geokit.volume.streamed.windings import extent
 
-__all__ = ["Survey", "survey"]
-
 # Odd constants with mixed bits, for hashes of three numbers and for two of an edge.
 COLUMNS = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
 EDGES = np.array([0xD6E8FEB86659FD93, 0xA0761D6478BD642F], np.uint64)

@@ -18,8 +18,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ColumnWindings", "CornerWindings", "crossings", "extent", "in_parts"]
-
 # Pairs of a triangle and a line that are tested together: a few MB each, so that they stay in a processor's cache.
 PAIRS = 1 << 16
 # Relative error of an orientation test, and of a height that is interpolated from its weights.

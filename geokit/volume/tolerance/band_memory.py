@@ -17,8 +17,6 @@ from geokit.volume.nanovdb.layout import LAYOUTS, LEAF_VOXELS, QUANTIZED_HEADER
 if TYPE_CHECKING:
     from geokit.mesh.surfaces.surface import Surface
 
-__all__ = ["BandCounts", "BandMemory", "band_start", "lattice_within"]
-
 # Most tiles that are counted. Above this the count is extrapolated with the square of the resolution.
 MOST_COUNTED = 60_000
 # Voxels along the mesh's longest side where the tiles in its holes are counted; their number grows with the square.

@@ -16,8 +16,6 @@ from geokit.volume.tolerance.zone import Zone
 if TYPE_CHECKING:
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["Achieved", "Made", "checked_errors", "made_within"]
-
 # Points at which a field is checked; then the WORST of them are moved MOVES times each, by the RADII [voxels].
 CHECKED, WORST, MOVES = 120_000, 2_000, 9
 RADII = (0.5, 0.25, 0.12, 0.06)

@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from geokit.mesh.surfaces.surface import Surface
     from geokit.volume.model.sparse_volume import SparseVolume
 
-__all__ = ["make_setting", "tolerance_search", "within_tolerance"]
-
 # Voxels along the longest side of the band whose leaf ranges are measured: it has a few hundred to a thousand leaves.
 RANGED_VOXELS = 100.0
 # Least tolerance as a share of the field's size: a few roundings of its coordinates.

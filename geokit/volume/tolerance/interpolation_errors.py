@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from geokit.volume.nanovdb.types import FIXED_BITS
 from geokit.volume.tolerance.zone import Zone
 
-__all__ = ["REACH", "STENCILS", "Stencils", "axis_weights", "interpolation_errors", "quantization_step", "stencils_of"]
-
 # First voxel of an order's stencil along an axis, relative to the voxel below the point, and number of voxels.
 STENCILS = {1: (0, 2), 2: (-1, 3), 3: (-1, 4)}
 # Distance [voxels] from a point to the farthest voxel of its stencil.

@@ -21,8 +21,6 @@ from geokit.volume.tolerance.band_memory import BandCounts, BandMemory
 from geokit.volume.tolerance.interpolation_errors import REACH, interpolation_errors, quantization_step, stencils_of
 from geokit.volume.tolerance.zone import Zone
 
-__all__ = ["CODECS", "ORDERS", "Option", "Search", "Setting", "options_of", "quickest"]
-
 ORDERS = (1, 2, 3)
 # From the quickest to the slowest to read; a slower one is tried because it may be smaller.
 CODECS = ("float", *reversed(list(FIXED_BITS)), *(name for name in QUANTIZED if name not in FIXED_BITS))

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from geokit.core.interop import user_arrays
 from geokit.errors import InputError
 
-__all__ = ["FEW", "THIN", "Zone", "checked_within", "require_extent", "rounding_of"]
-
 # Width of the zone of an open mesh, as a share of the tolerance. Beside the mesh's border the sign jumps, and the field
 # is off by twice the distance there.
 OPEN_SHARE = 0.25

@@ -15,8 +15,6 @@ from geokit.volume.nanovdb.nodes import bits_of
 from geokit.volume.tree.typed_tree import Nodes, TypedTree, differs, tree_of
 from geokit.volume.tree.typed_writer import rebuilt
 
-__all__ = ["clipped"]
-
 LEAVES_AT_A_TIME = 4096
 # First and last of eight positions along each axis.
 CORNERS = np.stack(np.unravel_index(np.arange(8), (2, 2, 2)), axis=1)

@@ -14,8 +14,6 @@ from geokit.errors import InputError
 from geokit.volume.nanovdb.layout import LEAF_VOXELS
 from geokit.volume.nanovdb.nodes import grid_nodes, slot_of
 
-__all__ = ["BYTES_PER_FILLED_LEAF", "BYTES_PER_LEAF", "VOXELS_AT_A_TIME", "DenseTiles", "mark_inside"]
-
 # A float leaf; its values and mask before it is written; its origin and place. Some are filled where they will stay.
 BYTES_PER_LEAF = 2144 + 2112 + 96
 BYTES_PER_FILLED_LEAF = 2144 + 96

@@ -20,8 +20,6 @@ from geokit.volume.nanovdb.layout import LAYOUTS, LEAF_VOXELS, GridLayout
 from geokit.volume.nanovdb.types import CLASS_TYPES, WHOLE_TYPES, WHOLE_VECTOR_TYPES
 from geokit.volume.tree.typed_tree import VALUE_TYPES, Nodes, TypedTree, tree_of_leaves
 
-__all__ = ["DenseRule", "background_of", "layout_for", "require_leaves", "tree_of_dense"]
-
 # Numbers that a thread processes together: with their states they stay in its cache.
 NUMBERS_AT_A_TIME = 1 << 18
 # States of a tile.

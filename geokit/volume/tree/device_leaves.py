@@ -17,8 +17,6 @@ from geokit.volume.nanovdb.nodes import NodeLevel, slot_of
 from geokit.volume.tree.device_writer import Leaves, build_on_device
 from geokit.volume.tree.grid_head import GridHead, root_keys_of
 
-__all__ = ["build_leaves", "fill_leaves", "leaf_keys"]
-
 
 def build_leaves(
     head: GridHead,

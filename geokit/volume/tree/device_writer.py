@@ -23,8 +23,6 @@ from geokit.volume.nanovdb.layout import GridLayout
 from geokit.volume.tree.flood_signs import spread_signs
 from geokit.volume.tree.grid_head import GridHead, Places, places_of, write_head, write_root
 
-__all__ = ["BuiltGrid", "Leaves", "build_on_device"]
-
 # Logarithms of the slots along an axis of a lower and of an upper node, and voxels along an axis.
 LOWER_BITS, LOWER_SPAN = 4, 128
 UPPER_BITS, UPPER_SPAN = 5, 4096

@@ -16,17 +16,6 @@ from geokit.volume.nanovdb.layout import LEAF_VOXELS
 from geokit.volume.nanovdb.nodes import grid_nodes, root_origins
 from geokit.volume.nanovdb.upload import above_leaves
 
-__all__ = [
-    "FARTHEST_TILE",
-    "Counts",
-    "counts_of",
-    "leaf_count",
-    "least_leaves",
-    "require_host_room",
-    "require_openvdb_room",
-    "require_places",
-]
-
 # Most leaves from the origin along an axis: voxel indices are int32.
 FARTHEST_TILE = 1 << 28
 # Leaves that OpenVDB's tools may add around a grid along an axis, and count past with int32.

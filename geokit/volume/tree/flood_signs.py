@@ -23,8 +23,6 @@ from geokit.volume.nanovdb.nodes import root_origins, slot_of
 from geokit.volume.tree.grid_head import gaps_inside, root_keys_of, with_gaps
 from geokit.volume.tree.typed_tree import Nodes, TypedTree
 
-__all__ = ["face_signs", "flood", "spread_signs", "with_signs"]
-
 
 def with_signs(tree: TypedTree, inside: Any) -> TypedTree:
     """Add tiles of the value ``inside`` to a level set's tree of leaves, in the empty regions inside.

@@ -34,23 +34,6 @@ from geokit.volume.nanovdb.header import (
 from geokit.volume.nanovdb.layout import LAYOUTS, GridLayout
 from geokit.volume.nanovdb.nodes import grid_nodes
 
-__all__ = [
-    "GridHead",
-    "Places",
-    "checked_head",
-    "gaps_inside",
-    "head_like",
-    "info_like",
-    "places_of",
-    "result_head",
-    "root_keys_of",
-    "root_spans",
-    "volume_from_buffer",
-    "with_gaps",
-    "write_head",
-    "write_root",
-]
-
 # Largest number of tiles between upper nodes: they are 2 MiB and cover 2.7e8 voxels of solid along an axis.
 LARGEST_GAP_TILES = 1 << 16
 # Bits of a coordinate in the key of a root entry.

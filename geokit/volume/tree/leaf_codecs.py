@@ -25,8 +25,6 @@ from geokit.volume.nanovdb.nodes import grid_nodes
 from geokit.volume.nanovdb.types import BY_NAME
 from geokit.volume.tree.retype_tree import RetypedTree
 
-__all__ = ["HEADER", "LeafReader", "decode", "fewest_bits", "thresholds", "write_codes", "write_floats"]
-
 HEADER = QUANTIZED_HEADER
 # Widths of an FpN leaf, in the order of the logarithms that the flags store.
 BITS = (1, 2, 4, 8, 16)

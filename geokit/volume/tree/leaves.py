@@ -24,20 +24,6 @@ from geokit.volume.tree.retype_tree import retype_tree
 from geokit.volume.tree.typed_tree import tree_of, tree_of_leaves, voxelized_tree
 from geokit.volume.tree.typed_writer import build_grid, rebuilt
 
-__all__ = [
-    "LEAF_VOXELS",
-    "Leaves",
-    "assemble",
-    "build_real_grid",
-    "dequantized",
-    "is_cubic",
-    "leaves_of",
-    "require_volume",
-    "uniform_voxel_size",
-    "value_places",
-    "voxelized",
-]
-
 LEAF_VOXELS = 512
 # Edges of a voxel whose lengths or angles differ by less than this belong to a cube whose matrix was rounded.
 CUBE_TOLERANCE = 1e-6

@@ -14,8 +14,6 @@ from geokit.volume.nanovdb.header import HEAD_SIZE, aligned_buffer, grid_header
 from geokit.volume.tree.estimates import require_openvdb_room
 from geokit.volume.tree.grid_head import volume_from_buffer
 
-__all__ = ["call_openvdb", "scale_factor", "scaled_up"]
-
 # OpenVDB treats a transform as singular if a voxel's volume is below 3e-15, which is an edge of 1.4e-5.
 SMALLEST_VOXEL_VOLUME = 1e-14
 

@@ -18,8 +18,6 @@ from geokit.volume.tree.estimates import leaf_count
 from geokit.volume.tree.typed_tree import Nodes, TypedTree, differs, tree_of
 from geokit.volume.tree.typed_writer import rebuilt
 
-__all__ = ["pruned"]
-
 ROWS_AT_A_TIME = 4096
 # Every so many values of a node are compared first: eight of a leaf, in different rows and columns.
 SAMPLE_STEP = 73

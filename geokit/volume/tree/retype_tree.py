@@ -19,8 +19,6 @@ from geokit.volume.nanovdb.header import (
 from geokit.volume.nanovdb.layout import layout_of, type_name
 from geokit.volume.nanovdb.nodes import GridNodes, NodeLevel, bits_of, grid_nodes, set_bits
 
-__all__ = ["RetypedTree", "retype_tree", "tile_values"]
-
 
 @dataclass(frozen=True)
 class RetypedTree:

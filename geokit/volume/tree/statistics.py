@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from geokit.volume.nanovdb.layout import GridLayout
 from geokit.volume.nanovdb.nodes import bits_of
 
-__all__ = ["NO_BOX", "Items", "add_items", "items_of_leaves", "items_of_tiles", "reduced"]
-
 # The neutral element of a union of boxes.
 NO_BOX = np.array([[[np.iinfo(np.int32).max] * 3, [np.iinfo(np.int32).min] * 3]], np.int32)
 _BITS = np.array([bin(i).count("1") for i in range(256)], np.uint8)

@@ -20,17 +20,6 @@ from geokit.volume.nanovdb.nodes import NodeLevel, bits_of, grid_nodes, root_ori
 from geokit.volume.tree.estimates import require_host_room
 from geokit.volume.tree.grid_head import root_keys_of
 
-__all__ = [
-    "VALUE_TYPES",
-    "Nodes",
-    "RowTable",
-    "TypedTree",
-    "differs",
-    "tree_of",
-    "tree_of_leaves",
-    "voxelized_tree",
-]
-
 # Types whose leaves store their values unencoded: all but the quantized ones.
 VALUE_TYPES = tuple(name for name, layout in LAYOUTS.items() if not layout.leaf_header)
 

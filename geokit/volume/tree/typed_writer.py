@@ -37,8 +37,6 @@ from geokit.volume.tree.grid_head import GridHead, head_like, root_keys_of, root
 from geokit.volume.tree.statistics import Items, add_items, items_of_leaves, items_of_tiles, reduced
 from geokit.volume.tree.typed_tree import TypedTree, differs, tree_of
 
-__all__ = ["WIDENED", "Tiles", "build_grid", "build_grids", "rebuilt", "widened"]
-
 # Types of small integers that OpenVDB lacks.
 WIDENED = ("int16", "uint8")
 
