@@ -32,7 +32,7 @@ CEILINGS = {
 }
 SUFFIXES = {".py", ".pyi", ".inl", ".cpp", ".h", ".js", ".css", ".html", ".map", ".txt", ".yaml", ".typed"}
 # A ceiling of lines is lowered now and then, not with each line.
-SLACK = {"lines": 113936}
+SLACK = {"lines": 500}
 
 
 def files() -> Iterator[Any]:
