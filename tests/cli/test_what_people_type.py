@@ -149,6 +149,36 @@ def test_exit_codes(run: Callable[..., Done], line: str, code: int, said: str) -
 @pytest.mark.parametrize(
     "line",
     [
+        "convert in.ply -o out.stl",
+        "convert -o out.stl in.ply",
+        "convert in.ply --output out.stl --force",
+        "mesh transform in.ply --output=out.stl --scale 2",
+        "boolean union in.ply -o out.stl other.ply",
+        "mesh box -o out.stl --size 1 1 1",
+        "compare in.ply other.ply -o out.stl.csv",
+    ],
+)
+def test_what_is_written_may_be_said_with_o(
+    run: Callable[..., Done], tmp_path: Path, monkeypatch: Any, line: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    gk.mesh.save("in.ply", gk.mesh.box())
+    gk.mesh.save("other.ply", gk.mesh.box(center=(0.4, 0.4, 0.4)))
+    done = run(*line.split())
+    assert done.code == 0, done.err
+    assert len(list(tmp_path.glob("out.stl*"))) == 1
+
+
+@pytest.mark.parametrize("line", ["info in.ply -o a.txt", "convert in.ply -o a.stl -o b.stl"])
+def test_o_is_unknown_where_nothing_or_one_file_is_written(run: Callable[..., Done], line: str) -> None:
+    done = run(*line.split())
+    assert done.code == 2
+    assert "Unknown option: -o" in done.err
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
         "convert a.nvdb b.fbx",
         "convert a.nvdb b.dcm",
         "convert a.ply b.step",

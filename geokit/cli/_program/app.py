@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
-from cyclopts import App, Parameter
+from cyclopts import App, Parameter, UnknownOptionError
 
 import geokit
 from geokit._shipped import folder_of
@@ -34,6 +35,8 @@ VERBS = {
 }
 # Verbs whose module defines subcommands.
 GROUPS = ("query", "mesh", "boolean", "volume")
+# Parameters that are files, the last of which is written.
+OUTPUTS = frozenset(("target", "result", "files"))
 # What to try first, for the help of the program.
 FIRST = """\
 geokit info bunny.usd
@@ -86,7 +89,7 @@ def build_app() -> App:
         if tokens and tokens[0] == "help":
             tokens = (*tokens[1:], "--help")
         if reference_folder is memory_limit is cad_tolerance is time_step is None:
-            return app(tokens or ["--help"], exit_on_error=False, print_error=False)
+            return _run(app, tokens or ["--help"])
         # NumPy comes with these, and most commands do not need it to print their help.
         from geokit.core.content_limit import content_limit, set_default_limit
         from geokit.formats.file_content.references import allowed_folders, set_default_folders
@@ -96,7 +99,7 @@ def build_app() -> App:
         set_default_limit(None if memory_limit is None else content_limit(0, memory_limit))
         set_default_folders(allowed_folders(reference_folder or ()))
         try:
-            return app(tokens, exit_on_error=False, print_error=False)
+            return _run(app, tokens)
         finally:
             set_reading_defaults()
             set_default_limit(None)
@@ -104,6 +107,30 @@ def build_app() -> App:
 
     app.meta.suppress_keyboard_interrupt = False
     return app.meta
+
+
+def _run(app: App, tokens: Sequence[str]) -> Any:
+    """Run a command; of one that writes the last of its files, that may be said with -o, as others have it."""
+    try:
+        return app(tokens, exit_on_error=False, print_error=False)
+    except UnknownOptionError:
+        moved = _output_last(app, tokens)
+        if moved is None:
+            raise
+    return app(moved, exit_on_error=False, print_error=False)
+
+
+def _output_last(app: App, tokens: Sequence[str]) -> list[str] | None:
+    """The words of a command with the file of -o or --output as the last one; None if it has no such file."""
+    command = app.parse_commands(tokens)[1][-1].default_command
+    places = [at for at, word in enumerate(tokens) if re.match(r"(-o|--output)(=|$)", word)]
+    if command is None or len(places) != 1 or OUTPUTS.isdisjoint(inspect.signature(command).parameters):
+        return None
+    first, equals, file = tokens[places[0]].partition("=")
+    after = tokens[places[0] + 1 :]
+    if not equals:
+        file, *after = after or [first]
+    return [*tokens[: places[0]], *after, "--", file]
 
 
 def examples_of(arguments: Sequence[str]) -> list[str]:
