@@ -1072,7 +1072,7 @@ def mesh_file_rows(given: Inputs) -> Rows:
         "ply_short": lambda: gk.mesh.load(written(given, "a.ply", PLY[:-20])),
         "ply_header": lambda: gk.mesh.load(written(given, "a.ply", PLY.replace("element face 2", "element face x"))),
         "stl_short": lambda: gk.mesh.load(written(given, "a.stl", STL[:120])),
-        "save_extension": lambda: gk.mesh.save(given.folder() / "a.gltf", given.mesh("scan")),
+        "save_extension": lambda: gk.mesh.save(given.folder() / "a.dae", given.mesh("scan")),
         "save_data": lambda: gk.mesh.save(given.folder() / "a.obj", given.mesh("scan"), point_data={"a": [1]}),
         "save_rows": lambda: gk.mesh.save(given.folder() / "a.vtp", given.mesh("scan"), cell_data={"a": [1]}),
         "save_float32": lambda: gk.mesh.save(given.folder() / "a.stl", given.mesh("huge")),

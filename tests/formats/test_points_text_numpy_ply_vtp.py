@@ -243,6 +243,7 @@ def test_paths_that_cannot_be_used(tmp_path):
         ("csv", {"v": np.zeros((40, 3)), "v_x": np.zeros(40)}, "'v_x' is taken"),
         ("csv", {"1e5": np.zeros(40)}, "'1e5' is taken or cannot be a column's name in .csv"),
         ("csv", {"NaN": np.zeros(40)}, "'NaN' is taken or cannot be a column's name in .csv"),
+        ("csv", {"a\nb": np.zeros(40)}, r"'a\\nb' is taken or cannot be a column's name in .csv"),
         ("ply", {"two words": np.zeros(40)}, "'two words'"),
         ("xyz", {"": np.zeros(40)}, "''"),
         ("ply", {"id": np.full(40, 1 << 40)}, "'id' has integers beyond 32 bits"),

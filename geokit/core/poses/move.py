@@ -55,7 +55,7 @@ def _require_orthonormal(maps: NDArray[np.float64], named: str) -> None:
     if bad.any():
         raise InputError(
             f"transform: {named.format(int(np.argmax(bad)))}not a rigid motion, as its axes are not of length 1 and at "
-            "right angles; move the mesh by geokit.mesh.transform instead"
+            "right angles; geokit.mesh.transform moves a mesh by any affine map"
         )
 
 
