@@ -86,17 +86,14 @@ def intersection(a: SparseVolume, b: SparseVolume, *more: SparseVolume, smooth: 
     masks is the set of voxels that are on in all of them. Conversions and limits are those of :func:`union`.
 
     Args:
-        a: Level set or mask. The result takes its grid, band, name and metadata, and the unit and up axis
-            that any of them says.
+        a: Level set or mask; the result takes from it what it does in :func:`union`.
         b: Second operand, of the same kind.
         more: Further operands.
         smooth: Width over which edges are rounded [world]; 0 keeps them. Must be 0 for masks.
     Returns:
         Level set of ``a``'s type, or mask.
     Raises:
-        InputError: As for :func:`union`.
-        UnsupportedGridError: As for :func:`union`.
-        DeviceMemoryError: As for :func:`union`.
+        InputError, UnsupportedGridError, DeviceMemoryError: As for :func:`union`.
         MissingDependencyError: Level sets, and geokit was built without OpenVDB.
     """
     return _combined("intersection", (a, b, *more), smooth)
@@ -112,17 +109,14 @@ def difference(a: SparseVolume, b: SparseVolume, *more: SparseVolume, smooth: fl
     are.
 
     Args:
-        a: Level set or mask from which the others are subtracted. The result takes its grid, band, name and metadata,
-            and the unit and up axis that any of them says.
+        a: Level set or mask from which the others are subtracted; it gives the result what it does in :func:`union`.
         b: Second operand, of the same kind.
         more: Further operands.
         smooth: Width over which edges are rounded [world]; 0 keeps them. Must be 0 for masks.
     Returns:
         Level set of ``a``'s type, or mask.
     Raises:
-        InputError: As for :func:`union`.
-        UnsupportedGridError: As for :func:`union`.
-        DeviceMemoryError: As for :func:`union`.
+        InputError, UnsupportedGridError, DeviceMemoryError: As for :func:`union`.
         MissingDependencyError: Level sets, and geokit was built without OpenVDB.
     """
     return _combined("difference", (a, b, *more), smooth)

@@ -169,10 +169,7 @@ def erode(
     Returns:
         Grid of the same type, class and background (float if that is quantized).
     Raises:
-        InputError: Not exactly one of distance and voxels is given, or it is negative or does not apply to the grid;
-            otherwise as for :func:`offset`.
-        UnsupportedGridError: A grid of indices or points; with ``distance``, a grid whose values are not real numbers.
-        DeviceMemoryError: The result does not fit into memory.
+        InputError, UnsupportedGridError, DeviceMemoryError: As for :func:`dilate`.
     """
     return _changed(volume, distance, voxels, neighbors, (-1,), device)
 
@@ -202,10 +199,7 @@ def opening(
     Returns:
         Grid of the same type, class and background (float if that is quantized).
     Raises:
-        InputError: Not exactly one of distance and voxels is given, or it is negative or does not apply to the grid;
-            otherwise as for :func:`offset`.
-        UnsupportedGridError: A grid of indices or points; with ``distance``, a grid whose values are not real numbers.
-        DeviceMemoryError: The result does not fit into memory.
+        InputError, UnsupportedGridError, DeviceMemoryError: As for :func:`dilate`.
     """
     return _changed(volume, distance, voxels, neighbors, (-1, 1), device)
 
@@ -235,10 +229,7 @@ def closing(
     Returns:
         Grid of the same type, class and background (float if that is quantized).
     Raises:
-        InputError: Not exactly one of distance and voxels is given, or it is negative or does not apply to the grid;
-            otherwise as for :func:`offset`.
-        UnsupportedGridError: A grid of indices or points; with ``distance``, a grid whose values are not real numbers.
-        DeviceMemoryError: The result does not fit into memory.
+        InputError, UnsupportedGridError, DeviceMemoryError: As for :func:`dilate`.
     """
     return _changed(volume, distance, voxels, neighbors, (1, -1), device)
 

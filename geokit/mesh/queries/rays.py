@@ -186,8 +186,7 @@ class RayQueries:
             directions: Directions of any length [world], shape (N, 3), or one of shape (3,) for all.
             t_min: Crossings with a smaller t are ignored, in units of the direction.
             max_distance: Length of the rays [world].
-            transform: A rigid map or mirror for column vectors, (4, 4), or (B, 4, 4) for answers (B, N, ...): where it
-                is. All is in world coordinates; moving rounds by 1e-15 of the size. None leaves the surface in place.
+            transform: As for :meth:`raycast`.
         Returns:
             RayHitLists with offsets (N + 1,), t (H,) in units of the direction, triangle_id (H,), barycentric (H, 3).
         Raises:
@@ -224,13 +223,7 @@ class RayQueries:
         """Number of crossings of each ray with the surface: the lengths of the lists of :meth:`raycast_all`.
 
         Args:
-            origins: Starts of the rays [world], shape (N, 3).
-            directions: Directions of any length [world], shape (N, 3), or one of shape (3,) for all.
-            t_min: Crossings with a smaller t are ignored, in units of the direction.
-            max_distance: Length of the rays [world].
-            transform: A rigid map or mirror for column vectors, (4, 4), or (B, 4, 4) for answers (B, N, ...): where it
-                is. All is in world coordinates; moving rounds by 1e-15 of the size. None leaves the surface in place.
-            progress: Called as ``progress(done, total)`` after each block of a few million rays.
+            origins, directions, t_min, max_distance, transform, progress: As for :meth:`raycast`.
         Returns:
             int (N,).
         Raises:
@@ -258,13 +251,7 @@ class RayQueries:
         The answer always agrees with :meth:`raycast`.
 
         Args:
-            origins: Starts of the rays [world], shape (N, 3).
-            directions: Directions of any length [world], shape (N, 3), or one of shape (3,) for all.
-            t_min: Hits with a smaller t are ignored, in units of the direction.
-            max_distance: Length of the rays [world]; farther hits are ignored.
-            transform: A rigid map or mirror for column vectors, (4, 4), or (B, 4, 4) for answers (B, N, ...): where it
-                is. All is in world coordinates; moving rounds by 1e-15 of the size. None leaves the surface in place.
-            progress: Called as ``progress(done, total)`` after each block of a few million rays.
+            origins, directions, t_min, max_distance, transform, progress: As for :meth:`raycast`.
         Returns:
             bool (N,).
         Raises:

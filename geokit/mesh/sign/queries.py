@@ -170,8 +170,7 @@ class SignQueries(PointQueries):
         Args:
             points: Query points [world], shape (N, 3).
             sign: "auto", "pseudonormal", "winding" or "parity"; see :meth:`signed_distance`.
-            transform: A rigid map or mirror for column vectors, (4, 4), or (B, 4, 4) for answers (B, N, ...): where it
-                is. All is in world coordinates; moving rounds by 1e-15 of the size. None leaves the surface in place.
+            transform: As for :meth:`signed_distance`.
             progress: Called as ``progress(done, total)`` after each block of a few million queries.
         Returns:
             bool (N,).
@@ -232,8 +231,7 @@ class SignQueries(PointQueries):
         Args:
             points: Query points [world], shape (N, 3).
             as_given: Whether faces keep the winding that they have in ``mesh``.
-            transform: A rigid map or mirror for column vectors, (4, 4), or (B, 4, 4) for answers (B, N, ...): where it
-                is. All is in world coordinates; moving rounds by 1e-15 of the size. None leaves the surface in place.
+            transform: As for :meth:`signed_distance`.
             progress: Called as ``progress(done, total)`` after each block of a few million queries.
         Returns:
             float (N,).
@@ -271,8 +269,7 @@ class SignQueries(PointQueries):
 
         Args:
             points: Query points [world], shape (N, 3).
-            transform: A rigid map or mirror for column vectors, (4, 4), or (B, 4, 4) for answers (B, N, ...): where it
-                is. All is in world coordinates; moving rounds by 1e-15 of the size. None leaves the surface in place.
+            transform: As for :meth:`signed_distance`.
         Returns:
             float (N,).
         Raises:

@@ -227,10 +227,10 @@ def _solids(mesh: TriangleMesh, bodies: Bodies) -> tuple[list[NDArray[np.int64]]
     """Rows of the faces of each outer body with its cavities, and rows of all other faces but those without corners."""
     from geokit.mesh.surfaces.surface import Surface
 
-    order = np.argsort(bodies.label, kind="stable")
-    starts = np.searchsorted(bodies.label[order], np.arange(len(bodies.volume) + 1))
-    rows = [order[a:b] for a, b in itertools.pairwise(starts)]
-    others = [order[: starts[0]]]
+    by_label = np.argsort(bodies.label, kind="stable")
+    starts = np.searchsorted(bodies.label[by_label], np.arange(len(bodies.volume) + 1))
+    rows = [by_label[a:b] for a, b in itertools.pairwise(starts)]
+    others = [by_label[: starts[0]]]
     owner = np.arange(len(rows))
     cavities = np.flatnonzero(bodies.volume < 0.0)
     owner[cavities] = -1
@@ -239,7 +239,13 @@ def _solids(mesh: TriangleMesh, bodies: Bodies) -> tuple[list[NDArray[np.int64]]
         # The smallest body around a cavity is the one that it is a cavity of.
         solid = (bodies.volume[outer] > 0.0) & (bodies.volume[inner] < 0.0)
         inner, outer = inner[solid], outer[solid]
-        largest_first = np.argsort(-bodies.volume[outer], kind="stable")
+        # Of a body that is there several times each copy has its own copy of the cavity.
+        lower, _ = boxes_of(mesh.vertices, mesh.faces, bodies.label, len(rows))
+        _, alike = np.unique(np.column_stack([bodies.volume, lower]), axis=0, return_inverse=True)
+        order = np.argsort(alike, kind="stable")
+        copy = np.empty_like(order)
+        copy[order] = np.arange(len(order)) - np.searchsorted(alike[order], alike[order])
+        largest_first = np.lexsort([copy[inner] == copy[outer], -bodies.volume[outer]])
         owner[inner[largest_first]] = outer[largest_first]
     solids = [[part] for part in rows]
     for cavity in cavities:

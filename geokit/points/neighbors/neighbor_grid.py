@@ -623,14 +623,10 @@ class NeighborGrid:
         All arguments are checked and all neighbors counted before the first block; each block is computed on demand.
 
         Args:
-            queries: Positions [world], shape (Q, 3), float32 or float64; None for the points themselves.
-            radius: Search radius [world], or one for each query, shape (Q,); None for the radius of the grid.
-            exclude_self: Query i stands for point i and does not find it; other points at the same position are found.
+            queries, radius, exclude_self, groups: As for :meth:`radius_search`.
             order: Order within a row: "index", "distance" (then index) or "any" (that of the cells, the fastest).
             memory: Most bytes for the neighbors of a block, 12 bytes each; None for a quarter of the free memory. A
                 single query that needs more is a block of its own.
-            groups: For a grid with groups: offsets (G + 1,) of the queries' groups, which are packed like the points;
-                neighbors are points of the query's group. None for the points themselves.
         Returns:
             Iterator over NeighborBlock(first, neighbors) for consecutive queries: row i of ``neighbors`` belongs to
             query ``first + i``. ``neighbors`` has offsets (B + 1,) int64 for the B queries of the block, indices (M,)
@@ -758,12 +754,8 @@ class NeighborGrid:
         the radius counts.
 
         Args:
-            queries: Positions [world], shape (Q, 3), float32 or float64; None for the points themselves.
-            k: Number of neighbors, 1 to 1024.
+            queries, k, exclude_self, groups: As for :meth:`knn`.
             radius: Search radius [world], or one for each query, shape (Q,); None for the radius of the grid.
-            exclude_self: Query i stands for point i and does not find it; other points at the same position are found.
-            groups: For a grid with groups: offsets (G + 1,) of the queries' groups, which are packed like the points;
-                neighbors are points of the query's group. None for the points themselves.
         Returns:
             KNearest with distance (Q, k) [world], the nearest first, and indices (Q, k) int32, in the container of the
             queries; inf and -1 fill rows with fewer than k points within the radius. distance is float32 for float32
