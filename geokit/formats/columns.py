@@ -114,7 +114,7 @@ def split(points: NDArray[np.float64], data: Mapping[str, NDArray[np.generic]], 
             # Readers of .csv take a line with a number in it for a row, not for names.
             unread = not part or not part.isascii() or (kind == ".csv" and as_number(part) is not None)
             if part in columns or unread or any(sign in part for sign in ' ,;"#\t\r\n'):
-                raise InputError(f"data: '{part}' is taken or cannot be a column's name in {kind}; rename '{name}'")
+                raise InputError(f"data: {part!r} is taken or cannot be a column's name in {kind}; rename {name!r}")
             columns[part] = column
     return columns
 
