@@ -12,6 +12,7 @@ from geokit.accuracy.trials.measuring import measure
 from geokit.accuracy.trials.model import Subject
 from geokit.accuracy.trials.results import Failure, Results, info_of
 from geokit.accuracy.trials.running import time_left
+from geokit.core import launcher
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_callable, require_flag, require_items
 from geokit.errors import GeokitError, InputError
@@ -69,9 +70,6 @@ def run(
         >>> {row.wrong_share for row in rows if "float64" in row.method}
         {0.0}
     """
-    from geokit.accuracy.trials.model import Subject
-    from geokit.core import launcher
-
     require_flag(quick, "quick")
     if progress is not None:
         require_callable(progress, "progress")

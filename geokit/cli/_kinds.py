@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
+from geokit import points
 from geokit.cli._program.console import note
 from geokit.core.files import extension, require_file
 from geokit.errors import GeokitError, InputError
@@ -192,8 +193,6 @@ def load_rays(path: Path, columns: str | None = None) -> "Rays":
         FileFormatError: The file is damaged or holds no rays.
         InputError: Columns are not six names of the table's.
     """
-    from geokit import points
-
     with called(*_OPTIONS):
         return points.load_rays(path, columns=_split(columns))
 

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 from cyclopts import App, CycloptsError, Parameter
 
+from geokit import mesh
 from geokit.cli._kinds import called, may_write, require_kind
 from geokit.cli._program.console import step
 from geokit.cli._program.lengths import unit_of
@@ -22,8 +23,6 @@ def _combining(name: str, least: int, text: str) -> None:
     """Add a command that reads at least so many meshes."""
 
     def run(*files: Files, common: Common = DEFAULTS) -> None:
-        from geokit import mesh
-
         if len(files) <= least:
             raise CycloptsError(msg=f"{name}: {len(files)} files given; name {least} or more to read, and one to write")
         *sources, target = files

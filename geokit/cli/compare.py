@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 
+from geokit import mesh, points
 from geokit.cli._batches.report import table, write_page
 from geokit.cli._kinds import Flag, called, load_cloud, refuse_unused, require_kind
 from geokit.cli._points import DEFAULT_COUNT
@@ -49,8 +50,6 @@ def compare(
             beyond it is printed, and the colors of the page end there.
         align: Move the scan to the design first, as a rigid body; its place has to be about right.
     """
-    from geokit import mesh, points
-
     check_output(result, ".html", force=common.force)
     kind = require_kind(scan, "mesh", "cloud")
     require_kind(design, "mesh")

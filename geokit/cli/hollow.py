@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from cyclopts import CycloptsError
 
+from geokit import mesh, volume
 from geokit.cli._kinds import Device, called, may_write, require_kind
 from geokit.cli._program.console import announce_compiling, note, step
 from geokit.cli._program.lengths import AnyLength, FromUnit, Places, length_in, lengths_in, unit_of
@@ -51,8 +52,6 @@ def hollow(
         drain: A place on the surface where a hole goes through the wall, as in 20,0,-8; may be given several times.
         drain_radius: Radius of these holes.
     """
-    from geokit import mesh, volume
-
     if (drain is None) != (drain_radius is None):
         raise CycloptsError(msg="--drain and --drain-radius go together; give both, or none")
     may_write(target, "mesh", force=common.force)
@@ -113,8 +112,6 @@ def hollow(
 
 def _tube(place: Any, outer: Surface, inner: Surface, wall: float, radius: float) -> TriangleMesh:
     """A cylinder through the wall at a place, along the shortest way to the cavity."""
-    from geokit import mesh
-
     found = outer.closest_point(place[None])
     start, told = found.points[0], "--drain: {:g},{:g},{:g}".format(*place)
     if found.distance[0] > wall:

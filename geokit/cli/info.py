@@ -7,10 +7,13 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from geokit.cli._kinds import Columns, FiniteOnly, Flag, kind_of_input, load_cloud, refuse_unused
 from geokit.cli._program.console import print_facts, print_json, step
 from geokit.core.files import extension, size_of
 from geokit.errors import GeokitError
+from geokit.formats.table import SPARSE
 
 
 def info(
@@ -94,7 +97,6 @@ def _described(material: Any) -> str:
 
 
 def _describe_volume(path: Path) -> dict[str, Any]:
-    from geokit.formats.table import SPARSE
     from geokit.volume import inspect
     from geokit.volume._io import READ_AT_ONCE, unique_names
 
@@ -124,8 +126,6 @@ def _value_ranges(path: Path, names: list[str]) -> dict[str, tuple[float, float]
 
 
 def _describe_grid(grid: Any) -> dict[str, Any]:
-    import numpy as np
-
     # geokit.volume.inspect gives NaN for it.
     frustum = bool(np.isnan(grid.transform).all())
     return {
@@ -144,8 +144,6 @@ def _describe_grid(grid: Any) -> dict[str, Any]:
 
 
 def _describe_cloud(path: Path, finite_only: bool, columns: str | None) -> dict[str, Any]:
-    import numpy as np
-
     cloud = load_cloud(path, finite_only, columns=columns)
     facts: dict[str, Any] = {"point_count": len(cloud.points)}
     system = cloud.coordinate_system

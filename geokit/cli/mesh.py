@@ -6,8 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 from cyclopts import App, Parameter
 
+from geokit import mesh
 from geokit.cli._kinds import Device, may_write
 from geokit.cli._program.console import announce_compiling, print_json, say, step
 from geokit.cli._results import DEFAULTS, Changed, Common, Source, deliver_mesh
@@ -34,8 +36,6 @@ PLACED = Placed()
 
 def _write(target: Path, common: Placed, body: str, *sizes: Any, **options: Any) -> None:
     """Write a simple body of ``geokit.mesh``."""
-    from geokit import mesh
-
     deliver_mesh(getattr(mesh, body)(*sizes, **options, center=common.center), target, common)
 
 
@@ -158,8 +158,6 @@ def keep_largest(
         count: How many to keep.
         share: Keep all with at least this share of the largest one's area, from 0 to 1, whatever --count is.
     """
-    from geokit import mesh
-
     may_write(target, "mesh", force=common.force)
     with step(f"splitting {source}", quiet=common.json):
         found = mesh.keep_largest(mesh.load(source), count, share=share)
@@ -187,10 +185,6 @@ def transform(
         rotate: Axis and angle in degrees: x y z angle.
         matrix: The 16 numbers of a matrix for column vectors, row by row, in place of the others.
     """
-    import numpy as np
-
-    from geokit import mesh
-
     may_write(target, "mesh", force=common.force)
     if matrix is None:
         table = np.eye(4)
@@ -207,8 +201,6 @@ def transform(
 
 def _rotation(given: tuple[float, float, float, float] | None) -> Any:
     """The matrix (3, 3) of an axis and an angle in degrees."""
-    import numpy as np
-
     if given is None:
         return np.eye(3)
     axis, angle = np.array(given[:3]), np.radians(given[3])
@@ -238,8 +230,6 @@ def transfer(
         other: The mesh that has them.
         name: An attribute; may be given several times. By default all.
     """
-    from geokit import mesh
-
     may_write(target, "mesh", force=common.force)
     announce_compiling()
     with step(f"taking attributes from {other}", quiet=common.json):

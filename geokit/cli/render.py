@@ -6,8 +6,10 @@ import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from cyclopts import CycloptsError, Parameter
 
+from geokit import render as drawing
 from geokit.cli._kinds import Columns, FiniteOnly, Flag, UpAxis, kind_of_input, load_shown, may_write, refuse_unused
 from geokit.cli._program.console import announce_compiling, say, step
 from geokit.core.files import extension
@@ -88,8 +90,6 @@ def render(
     checked_target(output, *((FLAT,) if slice is not None else ()))
     may_write(output, force=force)
     announce_compiling()
-    from geokit import render as drawing
-
     with step(f"drawing {source}"):
         held, axis = load_shown(source, kind, grid, finite_only, columns, up)
         scene: dict[str, Any] = {"size": pixels, "up": axis, "transparent": transparent, **camera}
@@ -114,8 +114,6 @@ def _parse_size(text: str) -> tuple[int, int]:
 
 def _array_or_color(held: Any, positions: Any, color: str | None) -> dict[str, Any]:
     """What to color by: an array of the mesh or the cloud, vectors by their length, else a coordinate or a color."""
-    import numpy as np
-
     arrays = held.data if hasattr(held, "data") else {**held.face_data, **held.vertex_data}
     if color in arrays:
         values = np.asarray(arrays[color], dtype=np.float64)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from geokit import mesh
 from geokit.cli._kinds import Flag, called, may_write, require_kind
 from geokit.cli._program.console import step
 from geokit.cli._program.lengths import AnyLength, FromUnit, lengths_in, unit_of
@@ -31,8 +32,6 @@ def repair(
         fair: Whether to make patches as smooth as what is around them.
         untangle: Rings of faces that are cut out at most where the mesh crosses itself; by default it may.
     """
-    from geokit import mesh
-
     may_write(target, "mesh", force=common.force)
     require_kind(source, "mesh")
     names = ("^mesh(?=:)", source), ("^rings(?=:)", "--untangle"), ("repair first, more rings", "a larger --untangle")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from geokit import mesh
 from geokit.cli._kinds import Flag, called, load_cloud, may_write, refuse_unused, require_kind
 from geokit.cli._program.console import announce_compiling, step
 from geokit.cli._program.lengths import AnyLength, FromUnit, lengths_in, unit_of
@@ -34,8 +35,6 @@ def wrap(
         offset: How far the input is grown first: it lies this deep inside at least; by default not at all.
         cavities: Keep the walls of cavities, which are left out otherwise.
     """
-    from geokit import mesh
-
     may_write(target, "mesh", force=common.force)
     kind = require_kind(source, "mesh", "cloud")
     announce_compiling()

@@ -10,6 +10,8 @@ import stat
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+
 from geokit.core.base.interrupts import ATTEMPTS
 from geokit.core.base.printable import in_one_line
 from geokit.core.base.private_folder import private_folder
@@ -287,8 +289,6 @@ def named_damage(path: Path) -> Iterator[None]:
         FileFormatError: The code inside raises anything else than a GeokitError, a MemoryError, or a warning that
             the caller has made an error.
     """
-    import numpy as np
-
     try:
         # Casts of signaling NaN warn; what is not finite is found and named after reading.
         with np.errstate(invalid="ignore", over="ignore"):

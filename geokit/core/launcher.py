@@ -13,6 +13,8 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
+import numpy as np
+
 from geokit.core import kernel_cache
 from geokit.core.base.forks import register_at_fork
 from geokit.core.base.late_warp import wp
@@ -365,8 +367,6 @@ def _morton_order_cpu(points: "wp.array", frame: list[Any], device: "wp.Device")
 
     It takes half the time of one sort of all keys; for a million points and two threads, a third.
     """
-    import numpy as np
-
     from geokit.core import morton_order_cpu_kernels as kernels
     from geokit.core.memory import host_pool
     from geokit.core.memory.host_array import HostArray

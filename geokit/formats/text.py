@@ -268,5 +268,4 @@ def _words(line: str) -> list[str]:
     separator = separator_of(line)
     if separator is None and "\t" in line.strip():
         separator = "\t"
-    words = _WORD.findall(line) if separator is None else split_line(line, separator)
-    return [word.strip().strip('"') for word in words]
+    return split_line(line, separator) if separator else [word.strip().strip('"') for word in _WORD.findall(line)]

@@ -15,6 +15,7 @@ from geokit.formats.attributes.images import picture_of, pixels_of
 from geokit.formats.held import what_is_held
 from geokit.formats.objects import UNITS
 from geokit.formats.table import Format
+from geokit.formats.vtk import poly_data
 from geokit.mesh.attributes.derived import with_data
 from geokit.mesh.attributes.seams import split_seams
 from geokit.mesh.model.data import full_scale, has_meaning
@@ -115,8 +116,6 @@ def to_pyvista(mesh: MeshLike) -> pyvista.PolyData:
     Raises:
         InputError: It is no mesh.
     """
-    from geokit.formats.vtk import poly_data
-
     mesh, lost = what_is_held(require_mesh(mesh, "mesh"), _ARRAYS._replace(unit=True), None)
     _say(lost, "PyVista")
     return poly_data(mesh)

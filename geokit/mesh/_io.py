@@ -25,6 +25,7 @@ from geokit.errors import InputError
 from geokit.formats.file_content.references import allowed_folders
 from geokit.formats.foreign import require_format
 from geokit.formats.held import what_is_held
+from geokit.formats.polygons import join
 from geokit.formats.reading_defaults import default_step, default_tolerance
 from geokit.formats.table import FORMATS, Format, extensions, module_of, with_formats
 from geokit.mesh._transform import convert_unit
@@ -110,8 +111,6 @@ def load(
         >>> load("data/samples/bracket.obj")
         TriangleMesh('bracket', 76 vertices, 152 faces)
     """
-    from geokit.formats.polygons import join
-
     if name is not None:
         require_text(name, "name")
     require_flag(trusted, "trusted")

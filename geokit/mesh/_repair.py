@@ -39,8 +39,8 @@ class OrientedMesh(NamedTuple):
 def orient(mesh: MeshLike) -> OrientedMesh:
     """Flip faces so that each component has one winding, solids outward and cavities inward.
 
-    A component is a set of faces connected through edges of exactly two faces. Vertices at equal positions count as
-    one, as in :func:`geokit.mesh.audit`.
+    A component is a set of faces connected through edges of exactly two faces; sets that only together bound a volume
+    count as one, such as bodies with a wall in common. Vertices at equal positions are one, as in :func:`audit`.
 
     - Within a component the smaller set of faces is flipped; with equal halves, the lowest face keeps its winding.
       One-sided components have no consistent winding: they are left as they are, and ``consistent`` is False.

@@ -21,7 +21,8 @@ from geokit.core.require import require_choice, require_count, require_table
 from geokit.core.scan import gathered
 from geokit.errors import InputError
 from geokit.mesh.model.triangle_mesh import TriangleMesh
-from geokit.mesh.surfaces.surface import BYTES_PER_FACE
+from geokit.mesh.surfaces.objects import require_mesh
+from geokit.mesh.surfaces.surface import BYTES_PER_FACE, Surface
 from geokit.points.clouds.rigid_fit import Step, orthonormal, plane_rank, plane_step, point_step
 from geokit.points.search.nearest import nearest
 from geokit.points.search.nearest_tree import build_tree
@@ -361,11 +362,6 @@ def _make_target(target: Any, target_normals: Any, wants_normals: bool, device: 
     Raises:
         InputError: The argument is not a valid target, or the normals do not fit it.
     """
-    from geokit.mesh.model.triangle_mesh import TriangleMesh
-    from geokit.mesh.surfaces.objects import require_mesh
-    from geokit.mesh.surfaces.surface import Surface
-    from geokit.volume.model.sparse_volume import SparseVolume
-
     if isinstance(target, TriangleMesh) or has_faces(target, "target"):
         target = Surface(require_mesh(target, "target", images=False), device=device)
     if isinstance(target, (Surface, SparseVolume)):

@@ -92,9 +92,7 @@ def intersection(a: SparseVolume, b: SparseVolume, *more: SparseVolume, smooth: 
     Returns:
         Level set of ``a``'s type, or mask.
     Raises:
-        InputError: As for :func:`union`.
-        UnsupportedGridError: As for :func:`union`.
-        DeviceMemoryError: As for :func:`union`.
+        InputError, UnsupportedGridError, DeviceMemoryError: As for :func:`union`.
         MissingDependencyError: Level sets, and geokit was built without OpenVDB.
     """
     return _combined("intersection", (a, b, *more), smooth)
@@ -118,9 +116,7 @@ def difference(a: SparseVolume, b: SparseVolume, *more: SparseVolume, smooth: fl
     Returns:
         Level set of ``a``'s type, or mask.
     Raises:
-        InputError: As for :func:`union`.
-        UnsupportedGridError: As for :func:`union`.
-        DeviceMemoryError: As for :func:`union`.
+        InputError, UnsupportedGridError, DeviceMemoryError: As for :func:`union`.
         MissingDependencyError: Level sets, and geokit was built without OpenVDB.
     """
     return _combined("difference", (a, b, *more), smooth)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from geokit import native
 from geokit.accuracy.charts.mesh_setup import HALF_WIDTH, area_samples
 from geokit.accuracy.charts.volume_setup import SEED, Effort, surface_samples
 from geokit.accuracy.reference import mesh as reference
@@ -59,7 +60,6 @@ def _level_sets(near: NearSurface) -> Iterator[Trial]:
 
 
 def _methods(near: NearSurface) -> tuple[str, ...]:
-    from geokit import native
     from geokit.mesh._audit import audit
 
     slow = near.quick and len(near.mesh.faces) > QUICK_TRIANGLES
@@ -169,8 +169,6 @@ def _isosurfaces(field: VolumePoints) -> Iterator[Trial]:
 
 @cache
 def _settings(quick: bool) -> tuple[dict[str, Any], ...]:
-    from geokit import native
-
     own = [{"method": method, "adaptivity": 0.0} for method in OWN]
     adaptivities = ADAPTIVITIES[quick] if native.available() else ()
     return (*own, *({"method": "openvdb", "adaptivity": adaptivity} for adaptivity in adaptivities))

@@ -13,6 +13,7 @@ from geokit.accuracy.reference import mesh as reference
 from geokit.accuracy.trials.model import Chart, Judgement, Trial
 from geokit.accuracy.trials.running import angles, held_bytes, judged, on_host, send, setting_of
 from geokit.core.base.late_warp import wp
+from geokit.points.neighbors.neighbor_grid import NeighborGrid
 
 Floats = NDArray[np.float64]
 
@@ -78,8 +79,6 @@ class PointsSetup:
     @cached_property
     def radius(self) -> float:
         """Default radius of a NeighborGrid over the points [world], rounded to three digits."""
-        from geokit.points.neighbors.neighbor_grid import NeighborGrid
-
         return float(f"{NeighborGrid(self.points, device=self.device).radius:.3g}")
 
     @cached_property
@@ -123,7 +122,6 @@ def nearest_chart(setup: PointsSetup) -> Chart:
 
 def _radius_trials(setup: PointsSetup) -> Iterator[Trial]:
     from geokit.accuracy.charts.raw_queries import raw_radius_count
-    from geokit.points.neighbors.neighbor_grid import NeighborGrid
 
     queries, radius = send(setup.queries, setup.device), setup.radius
     single = wp.array(setup.queries.astype(np.float32), dtype=wp.vec3f, device=setup.device)
@@ -158,8 +156,6 @@ def _radius_trials(setup: PointsSetup) -> Iterator[Trial]:
 
 
 def _nearest_trials(setup: PointsSetup) -> Iterator[Trial]:
-    from geokit.points.neighbors.neighbor_grid import NeighborGrid
-
     grid = NeighborGrid(setup.points, setup.radius, device=setup.device)
     grid.knn(setup.queries[:1])  # builds the tree
     queries = send(setup.queries, setup.device)

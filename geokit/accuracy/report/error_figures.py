@@ -15,6 +15,7 @@ from geokit.accuracy.report.html import Picture
 from geokit.accuracy.report.pareto import cost_of, front_of, knee
 from geokit.accuracy.trials.model import Measurement, Subject
 from geokit.accuracy.trials.results import Group
+from geokit.errors import GeokitError
 
 # Small enough for a page with dozens of figures to load quickly.
 SIZE = (460, 340)
@@ -131,8 +132,6 @@ def smaller(path: Path, colors: int) -> bytes:
 
 def pictures_of(groups: Sequence[Group], subjects: Any) -> tuple[dict[str, Picture], str]:
     """Pictures by the slugs of the groups, and the reason why pictures are missing, if any."""
-    from geokit.errors import GeokitError
-
     found: dict[str, Picture] = {}
     for group in groups:
         subject = subjects.get(group.subject)

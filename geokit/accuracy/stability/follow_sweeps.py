@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from geokit import native
 from geokit.accuracy.report.folder import FORMATS as FIGURE_FORMATS
 from geokit.accuracy.report.stability_figures import NO_UNIT, sweep_figure
 from geokit.accuracy.trials.model import Sweep
@@ -85,8 +86,6 @@ def sweeps(device: Device = None) -> list[Sweep]:
 
 def sweeps_of(subject: str, device: Device = None) -> list[Sweep]:
     """The sweeps of "mesh", "volume" or "points"."""
-    from geokit import native
-
     modules = [importlib.import_module(f"geokit.accuracy.stability.{subject}_{part}") for part in PARTS[subject]]
     found = [module.SWEEPS for module in modules]
     if native.available():

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.accuracy.trials.model import Judgement, Sweeps, cases_of
+from geokit.core import launcher
 from geokit.mesh import _primitives
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 
@@ -200,8 +201,6 @@ def turned(points: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
 
 def on_gpu(device: Any) -> bool:
     """Whether queries run on a GPU, where some envelopes are narrower."""
-    from geokit.core import launcher
-
     return bool(launcher.resolve_device(device).is_cuda)
 
 

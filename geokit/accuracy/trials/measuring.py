@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from geokit.core import launcher
 from geokit.core.base.late_warp import wp
 from geokit.core.base.system import said
 from geokit.core.interop.types import Device
@@ -65,7 +66,6 @@ def measure(
         InputError: ``trial.judge`` checked no answer, or returned arrays of different lengths or negative errors.
     """
     from geokit.accuracy.trials.model import Chart, Measurement, Trial
-    from geokit.core import launcher
 
     require_instance(trial, "trial", Trial, "make one of its class")
     require_instance(chart, "chart", Chart, "make one of its class")

@@ -22,6 +22,7 @@ from geokit.cli._program.console import note, step
 from geokit.core.files import atomic_path
 from geokit.errors import MissingDependencyError
 from geokit.mesh.model.triangle_mesh import TriangleMesh
+from geokit.volume import from_mesh
 
 if TYPE_CHECKING:
     from geokit.mesh import RayHits, Surface
@@ -78,7 +79,6 @@ class AccuracyPoint:
 def warm_up(log: DemoLog, surface: "Surface", device: Any) -> None:
     """Load every kernel, so that the rates below do not include the cost of first calls."""
     from geokit.points import NeighborGrid
-    from geokit.volume import from_mesh
 
     with log.step("load the kernels", "calls") as entry:
         # Enough queries that they are sorted, as in the steps below.
@@ -96,8 +96,6 @@ def warm_up(log: DemoLog, surface: "Surface", device: Any) -> None:
 
 
 def build_volume(log: DemoLog, surface: "Surface", device: Any) -> "SparseVolume":
-    from geokit.volume import from_mesh
-
     mesh = surface.mesh
     voxel_size = _voxel_size(mesh, RESOLUTION)
     with log.step("narrow-band SDF", "active voxels") as entry:
@@ -115,8 +113,6 @@ def build_volume(log: DemoLog, surface: "Surface", device: Any) -> "SparseVolume
 
 def build_wide_volume(surface: "Surface") -> "SparseVolume":
     """Build an SDF with a wider band in larger voxels, for the figure of the slice."""
-    from geokit.volume import from_mesh
-
     return from_mesh(surface, _voxel_size(surface.mesh, SLICE_RESOLUTION), half_width=SLICE_HALF_WIDTH)
 
 
@@ -312,8 +308,6 @@ def _thickness(surface: "Surface") -> NDArray[np.float64]:
 
 def accuracy_over_voxel_size(log: DemoLog, surface: "Surface", device: Any) -> tuple[list[AccuracyPoint], float]:
     """Errors of trilinear SDF samples near the surface, and the time that exact distances take."""
-    from geokit.volume import from_mesh
-
     mesh = surface.mesh
     random = np.random.default_rng(6)
     reach = 1.5 * _voxel_size(mesh, CHART_RESOLUTIONS[-1])

@@ -114,8 +114,7 @@ def _run(app: App, tokens: Sequence[str]) -> Any:
     try:
         return app(tokens, exit_on_error=False, print_error=False)
     except UnknownOptionError:
-        moved = _output_last(app, tokens)
-        if moved is None:
+        if (moved := _output_last(app, tokens)) is None:
             raise
     return app(moved, exit_on_error=False, print_error=False)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import functools
 import math
 import sys
@@ -64,8 +65,6 @@ def import_array(values: Any, name: str) -> "wp.array":
 
 def _device_of_pointer(pointer: int) -> str:
     # The protocol does not name the GPU; the driver knows it.
-    import ctypes
-
     ordinal = ctypes.c_int(-1)
     attribute_device_ordinal = 9  # CU_POINTER_ATTRIBUTE_DEVICE_ORDINAL
     status = cuda_driver().cuPointerGetAttribute(

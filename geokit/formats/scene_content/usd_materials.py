@@ -9,6 +9,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from geokit.errors import FileAccessError
 from geokit.formats.attributes.gltf import has_alpha
 from geokit.formats.attributes.mtl import LARGEST_FILE, image_content
@@ -235,7 +237,6 @@ def write_materials(mesh: Any, materials: Sequence[Material], rows: Any, images:
         rows: That of each face, or -1.
         images: The file of each one's texture, "" for none.
     """
-    import numpy as np
     from pxr import Sdf, Tf, UsdGeom, UsdShade, Vt
 
     stage, types = mesh.GetPrim().GetStage(), Sdf.ValueTypeNames

@@ -22,6 +22,7 @@ from geokit.core.memory.needs import rows
 from geokit.core.memory.pinned import host_flags
 from geokit.core.query.ask import query
 from geokit.core.require import require_choice, require_flag
+from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.queries.points import ClosestPoints, PointQueries, checked_radius, refuse_raised
 from geokit.mesh.topology.size_limits import require_measurable
 
@@ -357,8 +358,6 @@ class SignQueries(PointQueries):
         return found
 
     def _without(self, rows: NDArray[np.int64]) -> Any:
-        from geokit.mesh.model.triangle_mesh import TriangleMesh
-
         faces = np.delete(self.mesh.faces, rows, axis=0)
         found = self._of(TriangleMesh(self.mesh.vertices, faces, name=self.mesh.name), device=self._device)
         found._left_out = rows

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from geokit.mesh.attributes.derived import derived, with_data
 from geokit.mesh.model.triangle_mesh import TriangleMesh
-from geokit.mesh.sign.left_out import CONTACT, EXTREME_SIZE, collapsed, is_inside, sheets_inside
+from geokit.mesh.sign.left_out import CONTACT, EXTREME_SIZE, collapsed, is_inside, left_out_faces, sheets_inside
 from geokit.mesh.solids.contact import within_contact
 from geokit.mesh.solids.judging import FACES_FOR_A_SHARE, OVERLAP_SHARE, checkable, self_overlap, verdict_of
 from geokit.mesh.solids.pieces import Pieces, boxes_that_meet, combined, inflated, pieces_of, together
@@ -46,8 +46,6 @@ class Boundary(NamedTuple):
 
 def boundary_of(surface: Surface) -> Boundary:
     """The boundary of what a surface's mesh encloses."""
-    from geokit.mesh.sign.left_out import left_out_faces
-
     given: Any = surface._counted
     mesh: TriangleMesh = given.mesh
     unchanged = Boundary(surface.mesh, None, "")
@@ -225,10 +223,10 @@ def _solids(mesh: TriangleMesh, bodies: Bodies) -> tuple[list[NDArray[np.int64]]
     """Rows of the faces of each outer body with its cavities, and rows of all other faces but those without corners."""
     from geokit.mesh.surfaces.surface import Surface
 
-    order = np.argsort(bodies.label, kind="stable")
-    starts = np.searchsorted(bodies.label[order], np.arange(len(bodies.volume) + 1))
-    rows = [order[a:b] for a, b in itertools.pairwise(starts)]
-    others = [order[: starts[0]]]
+    by_label = np.argsort(bodies.label, kind="stable")
+    starts = np.searchsorted(bodies.label[by_label], np.arange(len(bodies.volume) + 1))
+    rows = [by_label[a:b] for a, b in itertools.pairwise(starts)]
+    others = [by_label[: starts[0]]]
     owner = np.arange(len(rows))
     cavities = np.flatnonzero(bodies.volume < 0.0)
     owner[cavities] = -1
@@ -237,7 +235,13 @@ def _solids(mesh: TriangleMesh, bodies: Bodies) -> tuple[list[NDArray[np.int64]]
         # The smallest body around a cavity is the one that it is a cavity of.
         solid = (bodies.volume[outer] > 0.0) & (bodies.volume[inner] < 0.0)
         inner, outer = inner[solid], outer[solid]
-        largest_first = np.argsort(-bodies.volume[outer], kind="stable")
+        # Of a body that is there several times each copy has its own copy of the cavity.
+        lower, _ = boxes_of(mesh.vertices, mesh.faces, bodies.label, len(rows))
+        _, alike = np.unique(np.column_stack([bodies.volume, lower]), axis=0, return_inverse=True)
+        order = np.argsort(alike, kind="stable")
+        copy = np.empty_like(order)
+        copy[order] = np.arange(len(order)) - np.searchsorted(alike[order], alike[order])
+        largest_first = np.lexsort([copy[inner] == copy[outer], -bodies.volume[outer]])
         owner[inner[largest_first]] = outer[largest_first]
     solids = [[part] for part in rows]
     for cavity in cavities:

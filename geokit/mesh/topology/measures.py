@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit.core import launcher
+from geokit.core.memory.host_array import HostArray
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.mesh.topology.connectivity import kernels_pay
 
@@ -107,7 +108,6 @@ def _measure_by_kernel(
     mesh: TriangleMesh, middle: NDArray[np.float64], size: float, measured: NDArray[np.float64]
 ) -> None:
     """The same measures by a kernel, equal to the last bit."""
-    from geokit.core.memory.host_array import HostArray
     from geokit.mesh.topology.measures_kernels import measure_kernel
 
     device = launcher.resolve_device("cpu")

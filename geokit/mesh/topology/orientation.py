@@ -103,6 +103,8 @@ def orient_faces(
         if len(repeats):
             doubled = doubled_faces(faces, repeats, repeated, pieces.label, closed)
             doubled = doubled._replace(copies=kept[doubled.copies])
+        if not closed.all() and (whole.uses > 2).any():
+            pieces, first, closed = _meeting(pieces, closed, kept, whole, repeats, repeated)
     turned = pieces.turned
     volume = _piece_volumes(measure_faces(mesh, mesh.bounds), first, pieces, closed)
     if np.any(volume < 0.0):
@@ -156,11 +158,12 @@ def _numbered(lowest: NDArray[np.int32]) -> tuple[NDArray[np.int32], int]:
     return np.take(number, lowest), int(np.count_nonzero(is_lowest))
 
 
-def _closed_pieces(pieces: _Pieces, topology: Topology) -> NDArray[np.bool_]:
+def _closed_pieces(pieces: _Pieces, topology: Topology, has_copies: bool = False) -> NDArray[np.bool_]:
     """Components that bound a volume (count,): after the flips, each edge is used equally often in both directions."""
     closed = ~pieces.one_sided
     edge_of = np.repeat(np.arange(topology.edge_count), topology.uses)
-    alone = topology.uses[edge_of] != 2
+    # Two faces at an edge cancel there, unless one is a copy of the other.
+    alone = (topology.uses[edge_of] != 2) | has_copies
     half_edge = topology.order[alone]
     face = half_edge // 3
     key = edge_of[alone] * pieces.piece_count + pieces.label[face]
@@ -169,6 +172,38 @@ def _closed_pieces(pieces: _Pieces, topology: Topology) -> NDArray[np.bool_]:
     total = np.bincount(group, balance, minlength=len(first))
     closed[pieces.label[face[first[total != 0]]]] = False
     return closed
+
+
+def _meeting(
+    pieces: _Pieces,
+    closed: NDArray[np.bool_],
+    kept: NDArray[np.int64],
+    whole: Topology,
+    repeats: NDArray[np.int64],
+    repeated: NDArray[np.int64],
+) -> tuple[_Pieces, NDArray[np.int64], NDArray[np.bool_]]:
+    """The components with those in one that only together bound a volume, such as bodies that have a wall in common.
+
+    Copies of faces belong to these. Components that are ``closed`` alone stay as they are.
+
+    Returns:
+        The components, the rows of their faces and those that bound a volume (count,).
+    """
+    loose = ~closed & ~pieces.one_sided
+    source = np.arange(len(kept))
+    source[repeats] = repeated
+    alone = np.delete(np.arange(len(kept)), repeats)
+    number = np.searchsorted(alone, source)
+    label, turned = pieces.label[number], pieces.turned[number]
+    edge, at = np.repeat(np.arange(whole.edge_count), whole.uses), label[whole.order // 3]
+    edge, at = edge[loose[at]], at[loose[at]]
+    meets = edge[1:] == edge[:-1]
+    group = connected_components(pieces.piece_count, at[:-1][meets], at[1:][meets])
+    bound = loose & _closed_pieces(pieces._replace(label=group[label], turned=turned), whole, True)[group]
+    used = bound[label]
+    used[alone] = True
+    label = np.where(bound, group, np.arange(pieces.piece_count))[label]
+    return pieces._replace(label=label[used], turned=turned[used]), kept[used], closed | bound
 
 
 def _piece_volumes(

@@ -8,16 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geokit._warn import warn
+from geokit.core import launcher
 from geokit.core.blocks.chunked_queries import Progress
 from geokit.core.interop.types import Device
 from geokit.core.interop.user_arrays import require_finite_scalar
 from geokit.core.memory.needs import needs
 from geokit.core.require import require_callable, require_choice, require_number
 from geokit.errors import InputError, UnsupportedGridError
-from geokit.mesh._simplify import BYTES_PER_SIMPLIFIED
+from geokit.mesh._simplify import BYTES_PER_SIMPLIFIED, Simplified, within_tolerance
 from geokit.mesh.model.triangle_mesh import TriangleMesh
 from geokit.volume._statistics import statistics
+from geokit.volume.nanovdb.header import aligned_buffer, grid_class_code, grid_header
 from geokit.volume.nanovdb.types import ISOSURFACE_TYPES, TYPES
+from geokit.volume.tree.estimates import require_openvdb_room
 from geokit.volume.tree.leaves import require_volume
 
 if TYPE_CHECKING:
@@ -131,7 +134,6 @@ def from_volume(
     if progress is not None:
         require_callable(progress, "progress")
     _require_real(volume)
-    from geokit.core import launcher
     from geokit.mesh.model.device_mesh import mesh_on_device
 
     target = launcher.resolve_device(device)
@@ -192,9 +194,6 @@ def from_volume_with_deviation(
         >>> len(found.mesh.faces) < len(gk.mesh.from_volume(torus).faces), found.deviation <= 0.01
         (True, True)
     """
-    from geokit.core import launcher
-    from geokit.mesh._simplify import Simplified, within_tolerance
-
     tolerance = require_finite_scalar(tolerance, "tolerance", low=0.0)
     if progress is not None:
         require_callable(progress, "progress")
@@ -249,7 +248,6 @@ def _is_whole(grid_type: str) -> bool:
 def _by_openvdb(volume: SparseVolume, isovalue: float, adaptivity: float) -> TriangleMesh:
     from geokit import native
     from geokit.volume.isosurface.nodes import topology_of
-    from geokit.volume.tree.estimates import require_openvdb_room
 
     require_openvdb_room(volume)
     topology_of(volume).large.require_countable(isovalue)
@@ -264,8 +262,6 @@ def _as_level_set(volume: SparseVolume) -> NDArray[np.uint8]:
     """The buffer with grid class "level set": OpenVDB reverses the faces of every other class."""
     if volume.info.grid_class == "level set":
         return volume.nanovdb
-    from geokit.volume.nanovdb.header import aligned_buffer, grid_class_code, grid_header
-
     buffer = aligned_buffer(len(volume.nanovdb))
     buffer[:] = volume.nanovdb
     grid_header(buffer)["grid_class"] = grid_class_code("level set")

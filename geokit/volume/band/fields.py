@@ -58,8 +58,6 @@ def resolve_surface(
         InputError: ``thickness`` is negative, not finite, or beyond ``THICKEST``; there is no such sign method, or no
             such ``interior``.
     """
-    from geokit.mesh.surfaces.surface import Surface
-
     require_choice(sign, "sign", SIGNS)
     require_choice(interior, "interior", INTERIORS)
     offset = 0.0
@@ -99,7 +97,6 @@ def resolve_surface(
 def _without_interior(surface: Surface) -> tuple[Surface | None, str]:
     """The surface of what a mesh encloses, None if that is all of it, and why some is still inside of solids."""
     from geokit.mesh.solids.boundary import boundary_of
-    from geokit.mesh.surfaces.surface import Surface
 
     try:
         boundary = boundary_of(surface)

@@ -294,8 +294,7 @@ def from_mesh_with_triangles(
     Returns:
         MeshBand of the distances and an int32 grid: the row of the nearest face at active voxels, -1 elsewhere.
     Raises:
-        InputError: As for :func:`from_mesh`.
-        DeviceMemoryError: As for :func:`from_mesh`.
+        InputError, DeviceMemoryError: As for :func:`from_mesh`.
     """
     surface, shape, lattice = _prepared(mesh, voxel_size, half_width, sign, thickness, interior, device)
     head = grid_head(shape, lattice, surface.mesh.name if name is None else name)

@@ -28,6 +28,10 @@ def hollow(inner: float) -> TriangleMesh:
     return concatenated(box((3, 3, 3)), TriangleMesh(hole.vertices, hole.faces[:, ::-1]))
 
 
+def placed(mesh: TriangleMesh, by: tuple[float, float, float]) -> TriangleMesh:
+    return TriangleMesh(mesh.vertices + by, mesh.faces)
+
+
 OPEN = TriangleMesh(box(center=(0.0, 0.0, 5.0)).vertices, box().faces[:-2])
 PEG = cylinder(0.5, 1.0, center=(0.0, 0.0, 1.5))
 # Name: the mesh, and the volume and area of what its bodies enclose.
@@ -44,6 +48,9 @@ ASSEMBLIES = {
     "crossed beams": (concatenated(box((9, 1, 1)), box((1, 9, 1), center=(0, 0, 1))), 18.0, 2 * 38.0 - 2.0),
     "a peg on a block": (concatenated(box((2, 2, 2)), PEG), 8.0 + PEG.volume, None),
     "hollow": (hollow(2.0), 19.0, 78.0),
+    "hollow, and there twice": (concatenated(hollow(2.0), hollow(2.0)), 19.0, 78.0),
+    "hollow ones that touch in a face": (concatenated(hollow(2.0), placed(hollow(2.0), (3, 0, 0))), 38.0, 138.0),
+    "a block beside a hollow one": (concatenated(box((3, 3, 3)), placed(hollow(2.0), (0, 3, 0))), 46.0, 114.0),
     "hollow with a core": (concatenated(hollow(2.0), box()), 20.0, 84.0),
     "hollow with a core that touches": (concatenated(hollow(2.0), box((2, 1, 1))), 21.0, 54.0 + 24.0 + 8.0 - 2.0),
     "filled": (concatenated(hollow(2.0), box((2, 2, 2))), 27.0, 54.0),

@@ -209,6 +209,24 @@ def test_pieces_that_touch_at_vertices_and_edges():
     assert not orient_faces(at_edge, Surface).closed
 
 
+@pytest.mark.parametrize("merged", [False, True])
+def test_hollow_solids_with_a_wall_in_common_stay_hollow(merged):
+    # Each has four edges of three or four faces, and bounds a volume only together with the other.
+    hollow = mesh_catalog.join(cube(0, 3), cube(1, 2, outward=False))
+    both = mesh_catalog.join(hollow, mesh_catalog.moved(hollow, (3.0, 0, 0)), cube(3.1, 4), cube(-3, 0))
+    both = merge_vertices(both) if merged else both
+    assert not orient(both).flipped.any()
+    assert orient(turned(both)).flipped.all()
+    inside = [[0.5, 1.5, 1.5], [3.5, 1.5, 1.5]]
+    for mesh in (both, turned(both)):
+        assert Surface(mesh, device="cpu").contains([[1.5] * 3, [4.5, 1.5, 1.5], *inside]).tolist() == [
+            False,
+            False,
+            True,
+            True,
+        ]
+
+
 def test_copies_of_faces_turn_along():
     mesh = mesh_catalog.duplicate_faces()
     assert not orient(mesh).flipped.any()
