@@ -183,8 +183,7 @@ class PointQueries:
 
         Args:
             points: Query points [world], shape (N, 3).
-            transform: A rigid map or mirror for column vectors, (4, 4), or (B, 4, 4) for answers (B, N, ...): where it
-                is. All is in world coordinates; moving rounds by 1e-15 of the size. None leaves the surface in place.
+            transform: As for :meth:`closest_point`.
         Returns:
             FurthestPoints with points (N, 3) [world], distance (N,) [world], triangle_id (N,).
         Raises:
