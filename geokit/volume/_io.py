@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from geokit import native
 from geokit.core.content_limit import content_limit
 from geokit.core.files import extension, named_damage, refuse_empty, require_file, size_of
 from geokit.core.interop.user_arrays import FROM_ZERO, require_finite_scalar
@@ -170,8 +171,6 @@ def _load(path: Path, grid: str | None, how: dict[str, Any], trusted: bool, memo
         index = _index_of(grid, unique_names(file.names(path)), path)
         return _from_nvdb(file.read(path, [index], memory_limit=memory_limit)[0])
     if grid is None:
-        from geokit import native
-
         if path.stat().st_size <= READ_AT_ONCE:
             # An unreadable grid, for one, must not hide the error that a name is missing.
             with contextlib.suppress(UnsupportedGridError):
@@ -259,8 +258,6 @@ def inspect(path: str | os.PathLike[str]) -> list[GridInfo]:
         return file.inspect(path)
     if extension(path) in STAGES:
         return _inspect_stage(path)
-    from geokit import native
-
     return [_info_of_vdb(header) for header in native.inspect_vdb(path)]
 
 
@@ -339,8 +336,6 @@ def save(path: str | os.PathLike[str], *volumes: SparseVolume, codec: str | None
 
 
 def _write_vdb(path: str | os.PathLike[str], volumes: Sequence[SparseVolume], codec: str | None, half: bool) -> None:
-    from geokit import native
-
     grids = [native.VdbGrid(volume.nanovdb, {**volume.info.metadata, "name": volume.info.name}) for volume in volumes]
     native.write_vdb(path, grids, compression=codec or DEFAULT_VDB_CODEC, half=half)
 
@@ -436,8 +431,6 @@ def _read_stage(
 
 
 def _inspect_stage(path: Path) -> list[GridInfo]:
-    from geokit import native
-
     refuse_empty(path)
     infos = []
     with opened(path, content_limit(path.stat().st_size)) as fields:

@@ -250,6 +250,21 @@ def test_rows_that_are_not_finite_are_misses(device):
     assert not out[3].numpy().any()
 
 
+@pytest.mark.parametrize("limit", [-1.0, -np.inf, np.nan])
+@pytest.mark.parametrize("device", DEVICES)
+def test_limits_that_are_none_are_misses(device, limit):
+    surface = gk.mesh.Surface(MESHES["closed"], device=device)
+    points = RNG.uniform(-1.0, 1.0, (20, 3))
+    assert (closest_inside(surface.on_kernel(), points, device, signed=False, reach=limit)[2] == -1).all()
+    for limits in ((limit, np.inf), (0.0, limit)):
+        out = empties(20, device, wp.float64, wp.int32, wp.vec3d, wp.bool)
+        rays = [there(points, device), there(-points, device)]
+        inputs = [surface.on_kernel(None), *rays, *map(wp.float64, limits)]
+        wp.launch(ray_kernel, 20, inputs=inputs, outputs=out, device=device)
+        assert (out[1].numpy() == -1).all()
+        assert not out[3].numpy().any()
+
+
 def test_signs_are_those_that_were_asked_for():
     surface = gk.mesh.Surface(MESHES["closed"], device="cpu")
     assert np.isnan(closest_inside(surface.on_kernel(None), np.zeros((1, 3)), "cpu", signed=True)[1]).all()

@@ -75,7 +75,7 @@ def test_ray() -> bool: ...
 @wp.func
 def closest_in_tree(tree: SurfaceTree, point: wp.vec3d, max_distance: wp.float64) -> ClosestPoint:
     slot = int(-1)
-    if is_measurable(point):
+    if is_measurable(point) and max_distance >= ZERO:
         slot = nearest_slot(tree, point, max_distance * max_distance, -1)
     return closest_in_slot(tree, point, slot)
 
@@ -89,7 +89,7 @@ def closest_point(surface: Surface, point: wp.vec3d, max_distance: wp.float64 = 
     Args:
         surface: ``surface.on_kernel()``.
         point: The query point [world].
-        max_distance: Search radius [world], not negative.
+        max_distance: Search radius [world]; within one that is negative or NaN there is nothing.
     """
     return closest_in_tree(surface.tree, point, max_distance)
 
@@ -121,7 +121,7 @@ def signed_distance(surface: Surface, point: wp.vec3d, max_distance: wp.float64 
     Args:
         surface: ``surface.on_kernel(sign)``.
         point: The query point [world].
-        max_distance: Search radius [world], not negative; farther points have distance inf or -inf.
+        max_distance: As for :func:`closest_point`; farther points have distance inf or -inf.
     """
     found = closest_in_tree(surface.tree, point, max_distance)
     if surface.sign == NO_SIGN:
@@ -177,8 +177,8 @@ def raycast(
         surface: ``surface.on_kernel()``.
         origin: Start of the ray [world].
         direction: Its direction, of any length [world].
-        t_min: Hits with a smaller t are ignored, in units of the direction; not negative.
-        max_distance: Length of the ray [world], not negative.
+        t_min: Hits with a smaller t are ignored, in units of the direction; nothing is hit where it is negative or NaN.
+        max_distance: Length of the ray [world]; nothing is hit where it is negative or NaN.
     """
     found = cast_ray(surface.tree, origin, direction, t_min, max_distance)
     hit = RayHit()

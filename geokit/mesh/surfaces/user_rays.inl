@@ -5,12 +5,13 @@
 #endif
 
 // t, the weights of the second and third corner, and the triangle of the first hit: -1 for a miss, which also a ray is
-// that has no direction or is not finite.
+// that has no direction or is not finite, or whose limits are negative or NaN.
 static constexpr auto cast_ray = [](const SurfaceTree& tree, point origin, point direction, double t_min,
                                     double max_distance) -> wp::vec4d {
     double t = (double)INFINITY;
     point weights((double)NAN, (double)NAN, (double)NAN);
     int triangle = UNDECIDED, flags[2];
+    if (!(t_min >= 0.0 && max_distance >= 0.0)) return wp::vec4d(t, weights[1], weights[2], -1.0);
     const wp::array_t<wp::vec3d> origins(&origin, 1), directions(&direction, 1);
     wp::array_t<double> out_t(&t, 1);
     wp::array_t<int> out_triangle(&triangle, 1), out_bad(flags, 2);
@@ -27,6 +28,7 @@ static constexpr auto test_ray = [](const SurfaceTree& tree, point origin, point
                                     double max_distance) -> bool {
     unsigned char found = LEFT_OVER;
     int flags[2] = {0, 0};
+    if (!(t_min >= 0.0 && max_distance >= 0.0)) return false;
     const wp::array_t<wp::vec3d> origins(&origin, 1), directions(&direction, 1);
     wp::array_t<bool> out_occluded((bool*)&found, 1);
     wp::array_t<int> out_bad(flags, 2);
