@@ -13,7 +13,8 @@ import numpy as np
 import warp as wp
 
 from benchmarks.gpu_timing import wall_median
-from geokit.points.search.nearest import build_tree, nearest
+from geokit.points.search.nearest import nearest
+from geokit.points.search.nearest_tree import build_tree
 
 COMPARED, POINTS = 20_000, 1 << 20
 LENGTHS = (1, 8, 16, 32, 100, 1024)

@@ -11,7 +11,8 @@ import warp as wp
 from geokit.core.memory import available_memory
 from geokit.errors import DeviceMemoryError, InputError
 from geokit.points.search import nearest as _nearest
-from geokit.points.search.nearest import MAX_K, KNearest, build_tree, nearest, require_k
+from geokit.points.search.nearest import MAX_K, KNearest, nearest, require_k
+from geokit.points.search.nearest_tree import build_tree
 from geokit.points.search.nearest_tree_kernels import LEAF
 from tests.support.reference import k_nearest
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import warp as wp
 
-from geokit.points.search.nearest import build_tree, nearest
+from geokit.points.search.nearest import nearest
+from geokit.points.search.nearest_tree import build_tree
 from geokit.points.search.nearest_tree_kernels import LEAF
 from tests.support.effort import spread
 from tests.support.reference import k_nearest

@@ -15,7 +15,8 @@ from scipy.spatial import cKDTree
 
 from geokit.points.search import nearest as _nearest
 from geokit.points.search import nearest_cuda_kernels
-from geokit.points.search.nearest import build_tree, nearest
+from geokit.points.search.nearest import nearest
+from geokit.points.search.nearest_tree import build_tree
 from tests.support.effort import of_all
 from tests.support.reference import k_nearest
 
