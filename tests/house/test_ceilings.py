@@ -23,7 +23,7 @@ from tests.house.test_rooms import FORWARDING, PACKAGE, edges
 # to verbs. Annotations of public names with Any.
 MOST_FILES = 26
 CEILINGS = {
-    "lines": 113931,
+    "lines": 113937,
     "folders in knots": 0,
     "files in import circles": 33,
     "public arguments with Any": 25,

@@ -15,8 +15,6 @@ from geokit.accuracy.stability import shapes
 from geokit.accuracy.stability.fields import MIDDLE, ball, joined, level_set, unit_vectors
 from geokit.accuracy.trials.model import Judgement, Sweeps
 from geokit.accuracy.trials.running import without_warnings
-from geokit.mesh.model.triangle_mesh import TriangleMesh
-from geokit.mesh.volumes.from_volume import from_volume
 
 if TYPE_CHECKING:
     from geokit.mesh.model.triangle_mesh import TriangleMesh
@@ -79,6 +77,8 @@ def wall_distances(thickness: float, *, seed: int = 0, device: Any = None) -> It
 @joined
 def wall_surfaces(thickness: float, *, seed: int = 0, device: Any = None) -> Iterator[Judgement]:
     """Distances of points on both faces of a wall from the reconstructed surface."""
+    from geokit.mesh.volumes.from_volume import from_volume
+
     for number in range(WALLS):
         mesh, turn, middle = _wall(thickness, seed, number)
         random = np.random.default_rng([seed, number])
@@ -104,6 +104,8 @@ def wall_surfaces(thickness: float, *, seed: int = 0, device: Any = None) -> Ite
 @joined
 def offset_surfaces(isovalue: float, *, seed: int = 0, device: Any = None) -> Iterator[Judgement]:
     """Distances of the isosurfaces inside and outside of a sphere from the exact spheres."""
+    from geokit.mesh.volumes.from_volume import from_volume
+
     band = level_set(ball(BAND_RADIUS), BAND_RADIUS)
     for signed in (isovalue, -isovalue):
         found = from_volume(band, isovalue=signed, device=device)
@@ -130,6 +132,8 @@ def offset_surfaces(isovalue: float, *, seed: int = 0, device: Any = None) -> It
 @joined
 def ball_surfaces(radius: float, *, method: str, seed: int = 0, device: Any = None) -> Iterator[Judgement]:
     """Distances between balls and their reconstructed surfaces, in both directions."""
+    from geokit.mesh.volumes.from_volume import from_volume
+
     # Balls centered on a cell are the first to contain no voxel.
     centers = [np.full(3, 0.5), *np.random.default_rng(seed).random((3, 3))]
     for center in centers:
@@ -175,6 +179,8 @@ def _wall(thickness: float, seed: int, number: int) -> tuple[TriangleMesh, Float
     middle = np.random.default_rng([seed, number, 1]).random(3) if number else np.array([0.2, 0.3, 0.5])
     half = (WALL_HALF, WALL_HALF, 0.5 * thickness)
     plate = shapes.box((-half[0], -half[1], -half[2]), half)
+    from geokit.mesh.model.triangle_mesh import TriangleMesh
+
     return TriangleMesh(plate.vertices @ turn.T + middle, plate.faces, name="wall"), turn, middle
 
 
