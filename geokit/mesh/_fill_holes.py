@@ -30,8 +30,8 @@ Indices = NDArray[np.int64]
 
 # Points of a rim whose distances are all measured.
 MOST_PAIRED = 512
-# How far points are moved by rounding to float32, in shares of the largest coordinate.
-ROUNDED = 2.0**-22
+# How far points are moved by rounding to float32, in shares of the largest coordinate; of a rim's width it is no more.
+ROUNDED = 2.0**-22, 1e-5
 # Where triangles clash with others, the least area without them is tried so many times; edges count less each time.
 EDGE_SHARES = [1e-3 * 0.02**trial for trial in range(8)]
 
@@ -154,7 +154,7 @@ def unclashing(
     rows, hole = np.zeros((0, 3), np.int64), np.zeros(0, np.int64)
     refused = rows
     # Coordinates may have been read from float32.
-    rounded = ROUNDED * np.abs(mesh.bounds).max() / np.where(width > 0.0, width, 1.0)
+    rounded = np.minimum(ROUNDED[0] * np.abs(mesh.bounds).max() / np.where(width > 0.0, width, 1.0), ROUNDED[1])
     for edge_share in EDGE_SHARES:
         more, of_hole = patches(rims, points, wanted, refused, *fixed, rounded, edge_share)
         rows, hole = np.concatenate([rows, more]), np.concatenate([hole, of_hole])

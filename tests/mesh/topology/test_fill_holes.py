@@ -154,6 +154,23 @@ def test_straight_sides_of_many_points_are_filled(count, single):
         assert audit(found.mesh, self_intersections=True).self_intersection_count == 0
 
 
+@pytest.mark.parametrize("count", [40, 120, 300])
+def test_the_area_is_the_same_far_from_the_origin(count):
+    # There corners may be rounded by much, if they were read from float32; these were not.
+    top = circle(count, 0.3) + 0.02 * np.random.default_rng(3).normal(size=(count, 1)) * [0, 0, 1]
+    i = np.arange(count)
+    j = np.roll(i, -1)
+    faces = np.concatenate([np.stack([i, j, count + j], 1), np.stack([i, count + j, count + i], 1)])
+    vertices = np.concatenate([top * [1, 1, 0] - [0, 0, 3], top])
+    areas = []
+    for away in (0.0, 1e5, 1e6):
+        found = fill_holes(TriangleMesh(vertices + away, faces))
+        assert found.filled.all()
+        a, b, c = np.moveaxis(found.mesh.vertices[found.mesh.faces[found.hole >= 0]], 1, 0)
+        areas.append(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
+    assert areas[1:] == pytest.approx(2 * areas[:1], rel=1e-6)
+
+
 @pytest.mark.parametrize("height", [1.0, 0.5])
 def test_long_rims_with_sharp_edges_are_filled(height):
     # Each ear of the lid of a cone turns back by more than half a right angle.
